@@ -1,0 +1,50 @@
+// Numerical constants of the continuum client, each with its reason. What a user may want to turn is in the scene
+// instead.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+namespace lockstep::continuum {
+
+// Lanczos products for the highest frequency of M^-1 K. The estimate rises towards the truth from below; 40 products
+// leave far less than the margin on meshes of 50,000 nodes.
+inline constexpr int frequency_products = 40;
+// The estimate of omega_max is multiplied by this before it bounds the step.
+inline constexpr double frequency_margin = 1.01;
+// Of the start vector of that iteration: any vector that is not orthogonal to the highest mode will do, the same each
+// time.
+inline constexpr std::uint64_t frequency_seed = 20;
+
+// The conjugate gradients that find the elastic state under gravity stop at this residual, relative to the load: low
+// enough that what is left over on the opened boundary after Excavate is round-off.
+inline constexpr double solver_tolerance = 1e-13;
+// A residual that round-off keeps above solver_tolerance is accepted below this one.
+inline constexpr double solver_acceptance = 1e-9;
+// Or below this many times the rounding of one product per node: sums have some eighty of them.
+inline constexpr double solver_rounding = 32;
+// Iterations without a lower residual after which a round of conjugate gradients has given all it can (and at least the
+// square root of the number of nodes).
+inline constexpr int solver_patience = 200;
+// Most iterations per degree of freedom's square root would do; this many per node is a sure sign of a broken mesh.
+inline constexpr int solver_iterations_per_node = 4;
+// Cycles after the solution that prove that explicit time stepping finds the same equilibrium and stays there.
+inline constexpr std::uint32_t proof_cycles = 100;
+
+// A grown node stiffness or a shrunken limit of the grains is logged again once the step has fallen by this share.
+inline constexpr double logged_step_drop = 0.05;
+
+// Largest over smallest zone size along one direction: beyond, a growth key was mistyped.
+inline constexpr double largest_size_ratio = 1e4;
+// Half side of the square core of the mesh inside the hole over the hole's radius: its corners then stand at 0.71 R,
+// and zones of the core and of the ring around it are of like size.
+inline constexpr double core_half_side = 0.5;
+// Zones along a side of the core per ring of zones around it (and at least one ring): see core_half_side.
+inline constexpr int core_zones_per_ring = 4;
+
+// Positions that agree to this share of the model's size lie in one support plane.
+inline constexpr double plane_tolerance = 1e-9;
+
+// Between lines of progress, and between looks at the clock in InitialStress.
+inline constexpr double progress_seconds = 0.5;  // [s]
+
+}  // namespace lockstep::continuum

@@ -1,0 +1,90 @@
+// One step of the coupled ground: what it works on, and its phases. cycle.cpp is the list of them; read that first.
+//
+// On entry: u and the interface's positions x at t_n, velocities at t_(n-1/2), f_int and forces of t_(n-1).
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "common/profile.hpp"
+#include "continuum_client/grid.hpp"
+#include "continuum_client/integrator.hpp"
+#include "continuum_client/interface_surface.hpp"
+#include "continuum_client/internal_force.hpp"
+#include "protocol/session.hpp"
+
+namespace lockstep::continuum {
+
+enum class Phase { SendVelocities, InternalForces, ReceiveForces, Advance, Output, Count };
+inline constexpr const char* phase_names[] = {"send_velocities", "internal_forces", "wait_for_forces", "advance",
+                                              "output"};
+
+// What is left of the deleted zones' reaction: share * offset, offset = f_A - f_D(0).
+struct Baseline {
+  Vec3s offset;      // per interface node [N]
+  double share = 0;  // 1 - s
+  Vec3s force;       // share * offset, of this step [N]
+};
+
+// Keeps the step below every limit known; it never grows again. The grains' limits come with their forces.
+struct StepGuard {
+  double zone_frequency_squared = 0;   // omega_c^2 with its margin [1/s2]
+  std::vector<double> node_stiffness;  // sum(k w) per interface node [N/m]
+  double grains_limit = 0;             // with their damping; 0: they have none [s]
+  double damping = 0;                  // the largest that the coupled stages use [-]
+  double fraction = 0;                 // fidelity.step_fraction [-]
+
+  double zones_limit = 0;      // of the zones alone [s]
+  double interface_limit = 0;  // of the zones with the contacts on them [s]
+  int cuts = 0;
+  double logged_step = 0;  // at the last line about a cut [s]
+
+  double limit() const;            // min of the two sides [s]
+  const char* limited_by() const;  // which of them it is
+};
+
+class CoupledGround {
+ public:
+  // ------------------------------------------------------------------ the phases of cycle(), in its order
+  // Paper step 5: v(n-1/2) of the interface and the step from n to n+1.
+  void send_velocities(protocol::Session& peer);
+  // f_int(n) = f0 + K u(n).
+  void compute_internal_forces();
+  // Paper step 6: F(n) of the contacts, and the grains' limits.
+  void receive_forces(protocol::Session& peer);
+  // What is left of the deleted zones.
+  void fade_baseline();
+  // Paper step 7: v(n+1/2), u(n+1) and x(n+1). NumericalError naming the node if a velocity runs away.
+  void advance();
+  // The step from n+1 on; n := n+1.
+  void guard_step();
+
+  // ------------------------------------------------------------------ what they work on
+  Grid grid;
+  InternalForce internal_force;
+  Integrator integrator{{}, {}};
+  Motion motion;
+  Vec3s internal;               // f_int(n) [N]
+  Vec3 gravity = Vec3::Zero();  // acceleration [m/s2]
+  Vec3s reaction_load;          // of released supports, per node; empty: none was released [N]
+  InterfaceSurface interface;
+  Baseline baseline;
+  StepGuard guard;
+
+  std::uint64_t step = 0;     // n
+  double time = 0;            // t_n since the first coupled step [s]
+  StepSizes step_sizes;       // into and out of n
+  double damping = 0;         // of the stage [-]
+  double velocity_limit = 0;  // P-wave speed: faster nodes have strains near 1 [m/s]
+  std::uint32_t hash_interval = 1;
+  protocol::Stage stage = protocol::Stage::Apply;
+
+  StepSums sums;                  // of the last step
+  protocol::Velocities outgoing;  // velocity: v(n-1/2) of the interface; its memory is reused
+  protocol::Forces incoming;      // F(n)
+  Profile<Phase> profile;
+};
+
+// One step, from n to n+1.
+void cycle(CoupledGround& ground, protocol::Session& peer);
+
+}  // namespace lockstep::continuum

@@ -1,0 +1,93 @@
+// The phases that cycle.cpp lists.
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "common/checks.hpp"
+#include "continuum_client/constants.hpp"
+#include "continuum_client/cycle.hpp"
+#include "continuum_client/timestep.hpp"
+
+namespace lockstep::continuum {
+
+double StepGuard::limit() const { return std::min(interface_limit, grains_limit > 0 ? grains_limit : interface_limit); }
+
+const char* StepGuard::limited_by() const {
+  if (limit() < interface_limit) return "grains";
+  return interface_limit < zones_limit ? "zones with contacts" : "zones";
+}
+
+void CoupledGround::send_velocities(protocol::Session& peer) {
+  const auto scope = profile.measure(Phase::SendVelocities);
+  const Ledger& ledger = integrator.ledger();
+  outgoing.step = step;
+  outgoing.stage = stage;
+  outgoing.time_step = step_sizes.out_of;
+  outgoing.unbalanced_ratio = sums.unbalanced_ratio();
+  outgoing.position_hash = step % hash_interval == 0 ? interface.position_hash() : 0;
+  outgoing.energies.kinetic = ledger.kinetic;
+  outgoing.energies.elastic = ledger.elastic;
+  outgoing.energies.gravity_work = ledger.work.gravity;
+  outgoing.energies.damped = ledger.work.damped;
+  outgoing.energies.boundary_work = ledger.work.boundary + ledger.work.baseline;
+  outgoing.energies.interface_work = ledger.work.interface;
+  peer.send(outgoing);
+}
+
+void CoupledGround::compute_internal_forces() {
+  const auto scope = profile.measure(Phase::InternalForces);
+  internal_force.evaluate(motion.displacement, internal);
+}
+
+void CoupledGround::receive_forces(protocol::Session& peer) {
+  const auto scope = profile.measure(Phase::ReceiveForces);
+  peer.receive(incoming);
+}
+
+void CoupledGround::fade_baseline() {
+  for (std::size_t i = 0; i < baseline.force.size(); ++i) baseline.force[i] = baseline.share * baseline.offset[i];
+}
+
+void CoupledGround::advance() {
+  const auto scope = profile.measure(Phase::Advance);
+  const NodalLoads loads{gravity, reaction_load, interface.node, incoming.force, baseline.force};
+  sums = integrator.advance(motion, internal, internal_force.reference, loads, damping, step_sizes, velocity_limit);
+  if (sums.runaway_node >= 0) {
+    const Vec3& x = grid.node[sums.runaway_node];
+    throw NumericalError(
+        fmt::format("step {}: node {} of the ground at ({:.4g}, {:.4g}, {:.4g}) m runs away (its velocity is not "
+                    "finite or above the P-wave speed, "
+                    "{:.4g} m/s); the time step is {:.4g} s, limited by the {}: lower fidelity.step_fraction ({:.3g})",
+                    step, sums.runaway_node, x.x(), x.y(), x.z(), velocity_limit, step_sizes.out_of, guard.limited_by(),
+                    guard.fraction));
+  }
+  gather_interface(interface, motion.velocity, outgoing.velocity);
+  interface.advance(outgoing.velocity, step_sizes.out_of);
+}
+
+void CoupledGround::guard_step() {
+  if (!incoming.node_stiffness.empty()) {
+    guard.node_stiffness = incoming.node_stiffness;
+    const double contacts =
+        contact_frequency_squared(interface.node, guard.node_stiffness, integrator.mass(), integrator.is_free());
+    guard.interface_limit = stable_step(guard.zone_frequency_squared + contacts, guard.damping);
+  }
+  guard.grains_limit = incoming.stable_step;
+  time += step_sizes.out_of;
+  ++step;
+  step_sizes.into = step_sizes.out_of;
+  const double wanted = guard.fraction * guard.limit();
+  if (wanted >= step_sizes.out_of) return;
+  ++guard.cuts;
+  step_sizes.out_of = wanted;
+  if (wanted < (1 - logged_step_drop) * guard.logged_step) {
+    spdlog::info(
+        "step {}: time step cut to {:.4g} s, limited by the {} (zones {:.4g} s, with contacts {:.4g} s, grains {:.4g} "
+        "s)",
+        step, wanted, guard.limited_by(), guard.zones_limit, guard.interface_limit, guard.grains_limit);
+    guard.logged_step = wanted;
+  }
+}
+
+}  // namespace lockstep::continuum

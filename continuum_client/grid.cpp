@@ -1,0 +1,42 @@
+#include "continuum_client/grid.hpp"
+
+#include <string>
+
+#include "common/checks.hpp"
+
+namespace lockstep::continuum {
+
+ZoneVectors gather(const Vec3s& field, const std::array<std::int32_t, 8>& nodes) {
+  ZoneVectors values;
+  for (int a = 0; a < 8; ++a) values[a] = field[nodes[a]];
+  return values;
+}
+
+ZoneVectors Grid::corners(std::size_t z) const { return gather(node, zone[z]); }
+
+Vec3 Grid::zone_center(std::size_t z) const {
+  Vec3 sum = Vec3::Zero();
+  for (std::int32_t n : zone[z]) sum += node[n];
+  return sum / 8;
+}
+
+std::vector<char> zones_outside_discrete_domain(const Grid& grid) {
+  std::vector<char> is_left(grid.zone_count());
+  for (std::size_t z = 0; z < grid.zone_count(); ++z) is_left[z] = grid.in_discrete_domain[z] ? 0 : 1;
+  return is_left;
+}
+
+void check_zones(const Grid& grid, const std::string& where) {
+  for (std::size_t z = 0; z < grid.zone_count(); ++z) {
+    const double smallest = grid.geometry(z).smallest_volume();
+    if (!(smallest > 0)) {
+      const Vec3 c = grid.zone_center(z);
+      throw InputError(fmt::format(
+          "{}: the zone around ({:.4g}, {:.4g}, {:.4g}) m is flat or turned inside out (a tetrahedron of {:.3g} m3); "
+          "use fewer zones or growth nearer to 1",
+          where, c.x(), c.y(), c.z(), smallest));
+    }
+  }
+}
+
+}  // namespace lockstep::continuum

@@ -1,0 +1,82 @@
+#include "continuum_client/integrator.hpp"
+
+#include <cmath>
+#include <utility>
+
+namespace lockstep::continuum {
+
+Integrator::Integrator(std::vector<double> mass, Vec3s is_free)
+    : mass_(std::move(mass)), is_free_(std::move(is_free)), mobility_(mass_.size(), Vec3::Zero()) {
+  for (std::size_t i = 0; i < mass_.size(); ++i)
+    if (mass_[i] > 0) mobility_[i] = is_free_[i] / mass_[i];
+}
+
+void Integrator::clear_ledger() {
+  ledger_ = {};
+  rest_ = {};
+}
+
+StepSums Integrator::advance(Motion& motion, const Vec3s& internal, const Vec3s& reference, const NodalLoads& loads,
+                             double damping, StepSizes steps, double velocity_limit) {
+  const double dt_velocity = steps.velocity_step(), half = 0.5 * dt_velocity, limit = velocity_limit * velocity_limit;
+  StepSums sums;
+  Work before, after;  // the two halves of this step's work, without factor `half`
+  double kinetic = 0, elastic = 0;
+  std::size_t next_interface = 0;
+
+  for (std::size_t i = 0; i < mass_.size(); ++i) {
+    Vec3& u = motion.displacement[i];
+    const Vec3 v = motion.velocity[i];
+    const Vec3 weight = mass_[i] * loads.gravity;
+    Vec3 force = weight - internal[i];
+    const bool has_reaction = !loads.reaction.empty();
+    if (has_reaction) force += loads.reaction[i];
+    const bool is_interface = next_interface < loads.interface_node.size() &&
+                              loads.interface_node[next_interface] == static_cast<std::int32_t>(i);
+    if (is_interface) force += loads.interface_force[next_interface] + loads.baseline_force[next_interface];
+
+    Vec3 drag;  // F_d
+    for (int c = 0; c < 3; ++c) {
+      force[c] = mobility_[i][c] > 0 ? force[c] : 0.0;
+      const double sign = static_cast<double>(v[c] > 0) - static_cast<double>(v[c] < 0);
+      drag[c] = -damping * std::abs(force[c]) * sign;
+    }
+    const Vec3 v_new = v + dt_velocity * mobility_[i].cwiseProduct(force + drag);
+
+    sums.unbalanced += force.norm();
+    sums.internal += internal[i].norm();
+    elastic += 0.5 * u.dot(reference[i] + internal[i]);
+    kinetic += 0.5 * mass_[i] * v.dot(v_new);
+    before.gravity += weight.dot(v), after.gravity += weight.dot(v_new);
+    before.damped -= drag.dot(v), after.damped -= drag.dot(v_new);
+    if (has_reaction) {
+      before.boundary += loads.reaction[i].dot(v), after.boundary += loads.reaction[i].dot(v_new);
+    }
+    if (is_interface) {
+      const Vec3& contact = loads.interface_force[next_interface];
+      const Vec3& baseline = loads.baseline_force[next_interface];
+      before.interface += contact.dot(v), after.interface += contact.dot(v_new);
+      before.baseline += baseline.dot(v), after.baseline += baseline.dot(v_new);
+      ++next_interface;
+    }
+    // Written so that NaN counts as running away.
+    if (!(v_new.squaredNorm() <= limit) && sums.runaway_node < 0) sums.runaway_node = static_cast<std::int64_t>(i);
+
+    motion.velocity[i] = v_new;
+    u += v_new * steps.out_of;
+  }
+
+  Work& w = ledger_.work;
+  w.gravity += rest_.gravity + half * before.gravity;
+  w.boundary += rest_.boundary + half * before.boundary;
+  w.interface += rest_.interface + half * before.interface;
+  w.baseline += rest_.baseline + half * before.baseline;
+  w.damped += rest_.damped + half * before.damped;
+  rest_ = {half * after.gravity, half * after.boundary, half * after.interface, half * after.baseline,
+           half * after.damped};
+  ledger_.kinetic = kinetic;
+  ledger_.elastic = elastic;
+  return sums;
+}
+
+}  // namespace lockstep::continuum

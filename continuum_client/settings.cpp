@@ -1,0 +1,126 @@
+#include "continuum_client/settings.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/checks.hpp"
+
+namespace lockstep::continuum {
+namespace {
+
+int refined(std::uint32_t count, double refinement) {
+  return std::max(1, static_cast<int>(std::lround(count * refinement)));
+}
+
+CylinderMesh cylinder_mesh(const scene::CylinderInBrick& c, double refinement, const SceneFile& file) {
+  const std::string key = "continuum.cylinder_in_brick";
+  if (c.zones_around() % 8 != 0)
+    throw InputError(fmt::format(
+        "{}: zones_around is {}; it must be a multiple of 8, so that the mesh meets the corners of the brick",
+        file.where(key + ".zones_around"), c.zones_around()));
+  if (!(c.hole_diameter() < c.width()))
+    throw InputError(fmt::format("{}: hole_diameter {} m does not fit into a brick of width {} m; make it smaller",
+                                 file.where(key + ".hole_diameter"), c.hole_diameter(), c.width()));
+  if (!(c.hole_depth() < c.depth()))
+    throw InputError(fmt::format("{}: hole_depth {} m does not fit into a brick of depth {} m; make it smaller",
+                                 file.where(key + ".hole_depth"), c.hole_depth(), c.depth()));
+  CylinderMesh m;
+  m.width = c.width(), m.depth = c.depth();
+  m.hole_diameter = c.hole_diameter(), m.hole_depth = c.hole_depth();
+  m.zones_around = 8 * refined(c.zones_around() / 8, refinement);
+  m.zones_radial = refined(c.zones_radial(), refinement);
+  m.zones_hole_depth = refined(c.zones_hole_depth(), refinement);
+  m.zones_below = refined(c.zones_below(), refinement);
+  m.radial_growth = std::pow(c.radial_growth(), 1 / refinement);
+  m.depth_growth = std::pow(c.depth_growth(), 1 / refinement);
+  m.where = file.where(key);
+  return m;
+}
+
+BlockMesh block_mesh(const scene::Block& b, double refinement, const SceneFile& file) {
+  BlockMesh m;
+  m.width_x = b.width_x(), m.width_y = b.width_y(), m.height = b.height(), m.top_z = b.top_z();
+  m.zones_x = refined(b.zones_x(), refinement);
+  m.zones_y = refined(b.zones_y(), refinement);
+  m.zones_z = refined(b.zones_z(), refinement);
+  m.where = file.where("continuum.block");
+  return m;
+}
+
+Supports to_supports(scene::Continuum::Supports s) {
+  switch (s) {
+    case scene::Continuum::ALL_FIXED:
+      return Supports::AllFixed;
+    case scene::Continuum::ROLLERS:
+      return Supports::Rollers;
+    case scene::Continuum::BOTTOM_FIXED:
+      return Supports::BottomFixed;
+    case scene::Continuum::BOTTOM_ROLLER:
+      return Supports::BottomRoller;
+  }
+  throw InternalError("unknown kind of supports");
+}
+
+}  // namespace
+
+double Settings::largest_damping() const {
+  return apply_max_steps > 0 ? std::max(apply_damping, run_damping) : run_damping;
+}
+
+Settings read_settings(const SceneFile& file) {
+  const scene::Scene& s = file.scene;
+  if (!s.has_continuum())
+    throw InputError(
+        fmt::format("{}: the scene has no continuum block, so there is nothing for continuum_client to do; "
+                    "run dem_server alone, or add continuum {{ block {{ }} }}",
+                    file.path.string()));
+  const scene::Continuum& c = s.continuum();
+  const double refinement = s.fidelity().mesh_refinement();
+  Settings r;
+  r.title = s.title();
+  switch (c.mesh_case()) {
+    case scene::Continuum::kCylinderInBrick:
+      r.mesh = cylinder_mesh(c.cylinder_in_brick(), refinement, file);
+      break;
+    case scene::Continuum::kBlock:
+      r.mesh = block_mesh(c.block(), refinement, file);
+      break;
+    case scene::Continuum::MESH_NOT_SET:
+      throw InputError(fmt::format("{}: the continuum has no mesh; add cylinder_in_brick {{ }} or block {{ }}",
+                                   file.where("continuum")));
+  }
+  r.moduli = elastic_moduli(c.youngs_modulus(), c.poisson_ratio());
+  r.poisson_ratio = c.poisson_ratio();
+  r.density = c.density();
+  r.gravity = s.gravity();
+  r.initial_supports = to_supports(c.initial_supports());
+  r.supports = to_supports(c.supports());
+  r.initial_damping = c.initial_damping();
+  r.equilibrium_tolerance = c.equilibrium_tolerance();
+  r.equilibrium_max_cycles = c.equilibrium_max_cycles();
+
+  r.holds_baseline = s.apply().baseline() == scene::Apply::HOLD;
+  r.ramp_transits = s.apply().ramp_transits();
+  r.apply_damping = s.apply().damping();
+  r.apply_tolerance = s.apply().tolerance();
+  r.apply_max_steps = s.apply().max_steps();
+  r.run_damping = s.run().continuum_damping();
+  r.duration = s.run().duration();
+  r.step_fraction = s.fidelity().step_fraction();
+
+  r.has_grains = s.has_grains();
+  r.has_pile = s.has_pile();
+  if (r.has_pile) {
+    r.pile_velocity = s.fidelity().pile_velocity();
+    r.pile_diameter = s.pile().diameter();
+    r.pile_speed_ramp = s.pile().speed_ramp();
+  }
+  r.peer_timeout = s.coupling().peer_timeout();
+  r.hash_interval = s.coupling().hash_interval();
+  r.history_interval = s.output().history_interval();
+  r.snapshot_interval = s.output().snapshot_interval();
+  r.writes_zones = s.output().zones();
+  return r;
+}
+
+}  // namespace lockstep::continuum

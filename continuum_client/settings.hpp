@@ -1,0 +1,71 @@
+// What the continuum client needs of a scene, in plain numbers. Defaults, units and ranges of all keys:
+// common/scene.proto.
+#pragma once
+#include <cstdint>
+#include <string>
+#include <variant>
+
+#include "common/scene.hpp"
+#include "common/vectors.hpp"
+#include "continuum_client/elastic_law.hpp"
+
+namespace lockstep::continuum {
+
+// Counts are those after fidelity.mesh_refinement; growth is its root, so that sizes keep their distribution.
+struct CylinderMesh {
+  double width = 0, depth = 0;               // [m]
+  double hole_diameter = 0, hole_depth = 0;  // [m]
+  int zones_around = 0, zones_radial = 0, zones_hole_depth = 0, zones_below = 0;
+  double radial_growth = 1, depth_growth = 1;  // [-]
+  std::string where;                           // "scene.txt: continuum.cylinder_in_brick", for messages
+};
+
+struct BlockMesh {
+  double width_x = 0, width_y = 0, height = 0, top_z = 0;  // [m]
+  int zones_x = 0, zones_y = 0, zones_z = 0;
+  std::string where;
+};
+
+enum class Supports { AllFixed, Rollers, BottomFixed, BottomRoller };
+
+struct Settings {
+  std::string title;
+  std::variant<BlockMesh, CylinderMesh> mesh;
+  ElasticModuli moduli;
+  double poisson_ratio = 0;  // [-]
+  double density = 0;        // [kg/m3]
+  double gravity = 0;        // downwards [m/s2]
+  Supports initial_supports = Supports::Rollers;
+  Supports supports = Supports::AllFixed;
+
+  double initial_damping = 0;        // [-]
+  double equilibrium_tolerance = 0;  // [-]
+  std::uint32_t equilibrium_max_cycles = 0;
+
+  bool holds_baseline = false;        // Apply: the offset stays for ever
+  double ramp_transits = 0;           // [P-wave transits of the depth]
+  double apply_damping = 0;           // [-]
+  double apply_tolerance = 0;         // [-]
+  std::uint32_t apply_max_steps = 0;  // 0: no Apply stage
+  double run_damping = 0;             // [-]
+  double duration = 0;                // of scenes without a pile [s]
+  double step_fraction = 0;           // [-]
+
+  bool has_grains = false;
+  bool has_pile = false;
+  double pile_velocity = 0, pile_diameter = 0, pile_speed_ramp = 0;  // [m/s], [m], [s]
+
+  double peer_timeout = 0;  // [s]
+  std::uint32_t hash_interval = 1;
+  std::uint32_t history_interval = 1;
+  double snapshot_interval = 0;  // [S/D] with a pile, [s] else; 0: first and last only
+  bool writes_zones = true;
+
+  // The larger of the dampings that the coupled stages use: the step is held for it.
+  double largest_damping() const;
+};
+
+// Throws InputError with file, key and remedy where keys contradict each other.
+Settings read_settings(const SceneFile& scene);
+
+}  // namespace lockstep::continuum

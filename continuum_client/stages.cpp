@@ -1,0 +1,515 @@
+#include "continuum_client/stages.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <span>
+#include <utility>
+
+#include "common/checks.hpp"
+#include "common/hash.hpp"
+#include "common/interrupt.hpp"
+#include "common/log.hpp"
+#include "continuum_client/boundary_conditions.hpp"
+#include "continuum_client/constants.hpp"
+#include "continuum_client/grid_builder.hpp"
+#include "continuum_client/settings.hpp"
+#include "continuum_client/timestep.hpp"
+
+namespace lockstep::continuum {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
+
+// s(t) = 3 t^2 - 2 t^3: starts and ends without a kink, so the hand-over sends no wave of its own.
+double smoothstep(double t) { return t >= 1 ? 1.0 : t * t * (3 - 2 * t); }
+
+Vec3 sum_of(std::span<const Vec3> values) {
+  Vec3 sum = Vec3::Zero();
+  for (const Vec3& v : values) sum += v;
+  return sum;
+}
+
+class Stages {
+ public:
+  Stages(const SceneFile& scene, const std::filesystem::path& folder, std::unique_ptr<protocol::Channel> channel,
+         const RunOptions& options)
+      : scene_(scene), settings_(read_settings(scene)), options_(options), files_(folder, settings_.writes_zones) {
+    if (settings_.has_grains && !channel)
+      throw InputError("the scene has grains, so the continuum needs a peer that has them");
+    if (!settings_.has_grains && channel)
+      throw InputError(fmt::format(
+          "{}: the scene has no grains, so there is no peer to connect to; leave --connect out", scene.path.string()));
+    if (!channel) return;
+    protocol::SessionSettings session;
+    session.peer_timeout =
+        std::chrono::milliseconds(static_cast<std::int64_t>(std::ceil(1000 * settings_.peer_timeout)));
+    session.record_path = options.record_path;
+    peer_ = std::make_unique<protocol::Session>(std::move(channel), protocol::Role::Continuum, session);
+    peer_->on_progress = [this](const protocol::Progress& p) {
+      spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction);
+      progress("waiting", p.fraction);
+    };
+  }
+
+  RunReport run() {
+    const Clock::time_point begin = Clock::now();
+    if (peer_) {
+      try {
+        couple();
+      } catch (const Error& e) {
+        peer_->abort(static_cast<int>(e.code()), e.what());
+        throw;
+      } catch (const std::exception& e) {
+        peer_->abort(static_cast<int>(ExitCode::Internal), e.what());
+        throw;
+      }
+    } else {
+      stand_alone();
+    }
+    conclude();
+    report_.seconds = seconds_since(begin);
+    files_.write_summary(report_, settings_.title);
+    return report_;
+  }
+
+ private:
+  void couple() {
+    hello();
+    initial_stress();
+    send_initial_stress();
+    wait_for_balance();
+    excavate();
+    if (!has_baseline()) ground_.baseline.offset.assign(ground_.interface.node_count(), Vec3::Zero());
+    files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+    if (settings_.apply_max_steps > 0) apply();
+    if (!report_.is_interrupted) penetrate();
+    finish();
+  }
+
+  // The ground alone: it is in equilibrium and stays there, which is what there is to see.
+  void stand_alone() {
+    initial_stress();
+    is_left_.assign(ground_.grid.zone_count(), 1);
+    take_reference_state();
+    StepGuard& guard = ground_.guard;
+    guard.fraction = settings_.step_fraction, guard.damping = settings_.run_damping;
+    guard.zone_frequency_squared = frequency_squared_bound(ground_.internal_force.stiffness, ground_.integrator.mass(),
+                                                           ground_.integrator.is_free());
+    guard.zones_limit = guard.interface_limit = guard.grains_limit =
+        stable_step(guard.zone_frequency_squared, guard.damping);
+    start_clock(guard.fraction * guard.limit());
+    ground_.incoming.stable_step = guard.limit();
+    ground_.damping = settings_.run_damping;
+    ground_.incoming.force.assign(ground_.interface.node_count(), Vec3::Zero());
+    ground_.baseline.force = ground_.baseline.offset = ground_.incoming.force;
+    files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+    begin_stage("Penetrate");
+    while (ground_.time < settings_.duration && !stop_requested()) {
+      ground_.compute_internal_forces();
+      ground_.advance();
+      ground_.guard_step();
+      after_step("Penetrate", ground_.time / settings_.duration);
+    }
+    end_stage(fmt::format("{} steps, {:.4g} s", ground_.step, ground_.time));
+  }
+
+  void hello() {
+    begin_stage("Hello");
+    protocol::Hello mine;
+    mine.role = protocol::Role::Continuum;
+    mine.solver = "lockstep continuum_client";
+    mine.solver_version = lockstep_version();
+    mine.capabilities = {"progress"};
+    mine.scene_digest = scene_.digest;
+    const protocol::Hello theirs = peer_->shake_hands(mine);
+    end_stage(fmt::format("peer {} {} at {}", theirs.solver, theirs.solver_version, peer_->peer()));
+  }
+
+  // Paper step 1: the whole model under gravity, the discrete domain still full of zones.
+  void initial_stress() {
+    begin_stage("InitialStress");
+    ground_.grid = build_grid(settings_);
+    const Grid& grid = ground_.grid;
+    ground_.interface = interface_surface(grid);
+    report_.zones = grid.zone_count(), report_.nodes = grid.node_count();
+    report_.interface_nodes = ground_.interface.node_count(), report_.facets = ground_.interface.facet_count();
+    beat("assembling the ground", 0);
+    ground_.internal_force.stiffness = assemble_stiffness(grid, settings_.moduli);
+    mass_ = lumped_masses(grid, settings_.density);
+    is_free_ = free_components(grid, settings_.initial_supports, mass_);
+    ground_.gravity = Vec3(0, 0, -settings_.gravity);
+    beat("looking for equilibrium", 0);
+    report_.equilibrium =
+        reach_equilibrium(ground_.internal_force.stiffness, mass_, is_free_, ground_.gravity, settings_.initial_damping,
+                          settings_.equilibrium_tolerance, settings_.equilibrium_max_cycles, settings_.step_fraction,
+                          initial_, [this](const std::string& text, double fraction) { beat(text, fraction); });
+    describe_initial_stress();
+    end_stage(fmt::format(
+        "ratio {:.2e} after {} solver iterations and {} cycles (drift {:.1e}), sigma_v at bottom {:.4g} kPa, K0 "
+        "{:.4f}, "
+        "{} zones, {} nodes",
+        report_.equilibrium.unbalanced_ratio, report_.equilibrium.solve.iterations, report_.equilibrium.cycles,
+        report_.equilibrium.drift, report_.bottom_vertical_stress / 1e3, report_.k0, report_.zones, report_.nodes));
+  }
+
+  void send_initial_stress() {
+    const Grid& grid = ground_.grid;
+    const InterfaceSurface& surface = ground_.interface;
+    reaction_ =
+        discrete_domain_reaction(grid, surface, settings_.moduli, settings_.density, settings_.gravity, initial_);
+    protocol::InitialStress message;
+    message.nodes = surface.position;
+    message.facets = surface.facet;
+    message.ring = surface.ring;
+    message.stress = facet_stress(grid, surface, settings_.moduli, initial_);
+    const bool deletes_zones =
+        std::find(grid.in_discrete_domain.begin(), grid.in_discrete_domain.end(), 1) != grid.in_discrete_domain.end();
+    traction_ =
+        deletes_zones ? facet_traction(surface, message.stress, reaction_) : Vec3s(surface.facet_count(), Vec3::Zero());
+    message.traction = traction_;
+    for (const LevelStress& l : discrete_domain_profile(grid, settings_.moduli, initial_))
+      message.profile.push_back({l.z, l.vertical, l.horizontal});
+    message.gravity = ground_.gravity;
+    message.bulk_density = settings_.density;
+    message.unbalanced_ratio = report_.equilibrium.unbalanced_ratio;
+    peer_->send(protocol::Message(std::move(message)));
+  }
+
+  // Paper step 2 is the grains'.
+  void wait_for_balance() {
+    begin_stage("Balance");
+    const protocol::Balance b = peer_->receive<protocol::Balance>();
+    end_stage(fmt::format("{} particles, {} contacts, porosity {:.4f}, unbalanced ratio {:.2e}", b.particles,
+                          b.contacts, b.porosity, b.unbalanced_ratio));
+  }
+
+  // Paper step 3: the zones go, their reaction stays as the baseline; both sides agree on the step.
+  void excavate() {
+    begin_stage("Excavate");
+    const Grid& grid = ground_.grid;
+    is_left_ = zones_outside_discrete_domain(grid);
+    report_.zones_deleted = static_cast<std::uint64_t>(std::count(is_left_.begin(), is_left_.end(), 0));
+    if (report_.zones_deleted > 0) {
+      ground_.internal_force.stiffness = assemble_stiffness(grid, settings_.moduli, is_left_);
+      mass_ = lumped_masses(grid, settings_.density, is_left_);
+    }
+    take_reference_state();
+    report_.excavation_residual = largest_unbalanced();
+
+    StepGuard& guard = ground_.guard;
+    guard.fraction = settings_.step_fraction, guard.damping = settings_.largest_damping();
+    guard.zone_frequency_squared = frequency_squared_bound(ground_.internal_force.stiffness, ground_.integrator.mass(),
+                                                           ground_.integrator.is_free());
+    guard.zones_limit = stable_step(guard.zone_frequency_squared, guard.damping);
+
+    protocol::ContinuumExcavated mine;
+    mine.zones_deleted = report_.zones_deleted;
+    mine.residual_ratio = report_.excavation_residual;
+    mine.stable_step = guard.zones_limit;
+    mine.position_hash = ground_.interface.position_hash();
+    peer_->send(protocol::Message(mine));
+    const auto theirs = peer_->receive<protocol::GrainsExcavated>();
+    if (theirs.position_hash != mine.position_hash)
+      throw PeerError(
+          fmt::format("GrainsExcavated.position_hash: the grains hold other interface positions than the ground (mine "
+                      "{:016x}, theirs "
+                      "{:016x}): both sides must keep the doubles of InitialStress.nodes",
+                      mine.position_hash, theirs.position_hash));
+    guard.node_stiffness = theirs.node_stiffness;
+    guard.node_stiffness.resize(ground_.interface.node_count(), 0.0);
+    guard.grains_limit = theirs.stable_step;
+    const double contacts = contact_frequency_squared(ground_.interface.node, guard.node_stiffness,
+                                                      ground_.integrator.mass(), ground_.integrator.is_free());
+    guard.interface_limit = stable_step(guard.zone_frequency_squared + contacts, guard.damping);
+    if (!std::isfinite(guard.limit()))
+      throw InputError(
+          "neither the zones nor the grains limit the time step: everything is held; free some nodes or add grains");
+    start_clock(guard.fraction * guard.limit());
+    start_baseline(theirs.nodal_force);
+    end_stage(
+        fmt::format("{} zones deleted, {} left, residual {:.1e} of the baseline; time step {:.4g} s = {:.2f} of the "
+                    "limit of the {} "
+                    "(zones {:.4g} s, with contacts {:.4g} s, grains {:.4g} s); f_D(0) differs from f_A by {:.2f} %",
+                    report_.zones_deleted, report_.zones - report_.zones_deleted, report_.excavation_residual,
+                    report_.first_time_step, guard.fraction, guard.limited_by(), guard.zones_limit,
+                    guard.interface_limit, guard.grains_limit, 100 * report_.jump.force_difference));
+  }
+
+  // Paper step 4: the contacts act at once at full stiffness; what they lack of the deleted zones' reaction fades out.
+  void apply() {
+    begin_stage("Apply");
+    ground_.stage = protocol::Stage::Apply;
+    ground_.damping = settings_.apply_damping;
+    const double duration =
+        settings_.ramp_transits * ground_.grid.depth() / p_wave_speed(settings_.moduli, settings_.density);
+    if (duration / ground_.step_sizes.out_of > settings_.apply_max_steps && !settings_.holds_baseline)
+      spdlog::warn(
+          "apply.ramp_transits takes {:.0f} steps, more than apply.max_steps {}: the rest of the baseline will drop at "
+          "once",
+          duration / ground_.step_sizes.out_of, settings_.apply_max_steps);
+    double ramp = settings_.holds_baseline ? 1.0 : 0.0;  // of the duration
+    bool is_done = false;
+    while (!is_done && ground_.step < settings_.apply_max_steps && !stop_requested()) {
+      ground_.baseline.share = settings_.holds_baseline ? 1.0 : 1 - smoothstep(ramp);
+      const bool ramp_is_over = ramp >= 1;
+      ramp += ground_.step_sizes.out_of / duration;
+      cycle(ground_, *peer_);
+      is_done = ramp_is_over && ground_.sums.unbalanced_ratio() < settings_.apply_tolerance &&
+                ground_.incoming.unbalanced_ratio < settings_.apply_tolerance;
+      after_step("Apply", std::min(ramp, 1.0));
+    }
+    if (!settings_.holds_baseline) ground_.baseline.share = 0;
+    report_.jump.apply_steps = ground_.step;
+    report_.jump.apply_ratio_zones = ground_.sums.unbalanced_ratio();
+    report_.jump.apply_ratio_grains = ground_.incoming.unbalanced_ratio;
+    report_.jump.apply_converged = is_done;
+    measure_jump();
+    if (!is_done && !report_.is_interrupted)
+      spdlog::warn(
+          "Apply ends at apply.max_steps {} with unbalanced ratios {:.2e} (zones) and {:.2e} (grains), above "
+          "apply.tolerance {:.2e}; "
+          "what follows starts from there",
+          settings_.apply_max_steps, report_.jump.apply_ratio_zones, report_.jump.apply_ratio_grains,
+          settings_.apply_tolerance);
+    end_stage(fmt::format(
+        "{} steps, ratios {:.2e} (zones) and {:.2e} (grains); the interface moved {:.3g} mm at most = {:.2e} facets",
+        ground_.step, report_.jump.apply_ratio_zones, report_.jump.apply_ratio_grains, 1e3 * report_.jump.largest,
+        report_.jump.largest_in_facets));
+  }
+
+  // Paper steps 5 to 7, until the pile is down or the time is up.
+  void penetrate() {
+    begin_stage("Penetrate");
+    ground_.stage = protocol::Stage::Penetrate;
+    ground_.damping = settings_.run_damping;
+    const double begin = ground_.time;
+    double next_snapshot = settings_.snapshot_interval;
+    bool is_done = false;
+    while (!is_done && !stop_requested()) {
+      if (!settings_.has_pile && ground_.time - begin > settings_.duration - 0.5 * ground_.step_sizes.out_of) break;
+      cycle(ground_, *peer_);
+      is_done = ground_.incoming.is_done;
+      const double time = ground_.time - begin;
+      const double position = settings_.has_pile ? pile_travel(time) / settings_.pile_diameter : time;
+      after_step("Penetrate", settings_.has_pile ? position / scene_.scene.pile().penetration()
+                                                 : time / std::max(settings_.duration, time));
+      if (settings_.snapshot_interval > 0 && position >= next_snapshot) {
+        const auto scope = ground_.profile.measure(Phase::Output);
+        files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+        next_snapshot += settings_.snapshot_interval;
+      }
+    }
+    end_stage(fmt::format("{} steps in all, {:.4g} s, time step {:.4g} s, {} cuts", ground_.step, ground_.time,
+                          ground_.step_sizes.out_of, ground_.guard.cuts));
+  }
+
+  void finish() {
+    begin_stage("Finish");
+    protocol::Finish mine;
+    mine.step = ground_.step;
+    mine.text = report_.is_interrupted ? "the user of the continuum interrupted the run" : "done";
+    peer_->send(protocol::Message(mine));
+    const auto theirs = peer_->receive<protocol::Finish>();
+    report_.finish_text = theirs.text;
+    report_.seconds_waiting = peer_->seconds_waiting();
+    report_.bytes_sent = peer_->bytes_sent(), report_.bytes_received = peer_->bytes_received();
+    end_stage(fmt::format("peer says: {}", theirs.text));
+  }
+
+  // ---------------------------------------------------------------------------------------------- pieces of stages
+
+  bool has_baseline() const { return settings_.apply_max_steps > 0 || settings_.holds_baseline; }
+
+  // Displacements start again from zero; what gravity's displacements caused stays as f0 and as reactions of released
+  // supports.
+  void take_reference_state() {
+    const std::size_t count = ground_.grid.node_count();
+    InternalForce& force = ground_.internal_force;
+    force.reference.resize(count);
+    force.stiffness.multiply(initial_, force.reference);
+    const Vec3s after = free_components(ground_.grid, settings_.supports, mass_);
+    Vec3s weight(count);
+    for (std::size_t i = 0; i < count; ++i) weight[i] = mass_[i] * ground_.gravity;
+    ground_.reaction_load = released_reactions(is_free_, after, force.reference, weight);
+    ground_.integrator = Integrator(mass_, after);
+    ground_.motion = {Vec3s(count, Vec3::Zero()), Vec3s(count, Vec3::Zero())};
+    ground_.internal = force.reference;
+    ground_.velocity_limit = p_wave_speed(settings_.moduli, settings_.density);
+    ground_.hash_interval = settings_.hash_interval;
+    gather_interface(ground_.interface, ground_.motion.velocity, ground_.outgoing.velocity);
+  }
+
+  // Worst unbalanced nodal force with the baseline in place of the deleted zones, over the largest nodal weight or
+  // baseline.
+  double largest_unbalanced() const {
+    Vec3s force(ground_.grid.node_count());
+    double scale = 0, worst = 0;
+    for (std::size_t i = 0; i < force.size(); ++i) {
+      const Vec3 weight = mass_[i] * ground_.gravity;
+      force[i] = weight - ground_.internal[i];
+      if (!ground_.reaction_load.empty()) force[i] += ground_.reaction_load[i];
+      scale = std::max(scale, weight.norm());
+    }
+    for (std::size_t k = 0; k < reaction_.size(); ++k) {
+      force[ground_.interface.node[k]] += reaction_[k];
+      scale = std::max(scale, reaction_[k].norm());
+    }
+    for (std::size_t i = 0; i < force.size(); ++i)
+      worst = std::max(worst, force[i].cwiseProduct(ground_.integrator.is_free()[i]).norm());
+    return scale > 0 ? worst / scale : 0.0;
+  }
+
+  void start_clock(double time_step) {
+    ground_.step = 0, ground_.time = 0;
+    ground_.step_sizes = {time_step, time_step};
+    ground_.guard.logged_step = time_step;
+    ground_.sums = {};
+    ground_.integrator.clear_ledger();
+    report_.first_time_step = time_step;
+  }
+
+  void start_baseline(const Vec3s& contact_force) {
+    Baseline& b = ground_.baseline;
+    b.offset.resize(ground_.interface.node_count());
+    b.force.assign(b.offset.size(), Vec3::Zero());
+    double scale = 0;
+    for (std::size_t i = 0; i < b.offset.size(); ++i) {
+      b.offset[i] = reaction_[i] - contact_force[i];
+      scale += reaction_[i].norm();
+    }
+    b.share = has_baseline() ? 1.0 : 0.0;
+    report_.jump.force_difference = scale > 0 ? (sum_of(reaction_) - sum_of(contact_force)).norm() / scale : 0.0;
+  }
+
+  // Depth that the pile has gone since it started, with its linear ramp of speed.
+  double pile_travel(double time) const {
+    const double ramp = settings_.pile_speed_ramp, v = settings_.pile_velocity;
+    return time < ramp ? 0.5 * v * time * time / ramp : v * (time - 0.5 * ramp);
+  }
+
+  void measure_jump() {
+    const InterfaceSurface& s = ground_.interface;
+    double sum = 0;
+    for (std::size_t i = 0; i < s.node_count(); ++i) {
+      const double moved = (s.position[i] - ground_.grid.node[s.node[i]]).norm();
+      report_.jump.largest = std::max(report_.jump.largest, moved);
+      sum += moved;
+    }
+    report_.jump.mean = sum / static_cast<double>(s.node_count());
+    report_.jump.largest_in_facets = report_.jump.largest / s.mean_facet_size();
+  }
+
+  void describe_initial_stress() {
+    const std::vector<Voigt> stress = zone_stresses(ground_.grid, settings_.moduli, initial_);
+    double vertical = 0, horizontal = 0, bottom = 0, bottom_volume = 0;
+    for (std::size_t z = 0; z < stress.size(); ++z) {
+      const double volume = ground_.grid.geometry(z).zone_volume();
+      vertical += volume * stress[z][2];
+      horizontal += volume * 0.5 * (stress[z][0] + stress[z][1]);
+      if (ground_.grid.level[z] == 0) bottom += volume * stress[z][2], bottom_volume += volume;
+    }
+    report_.k0 = vertical != 0 ? horizontal / vertical : 0.0;
+    report_.bottom_vertical_stress = bottom / bottom_volume;
+  }
+
+  void after_step(const char* stage, double fraction) {
+    const auto scope = ground_.profile.measure(Phase::Output);
+    if (ground_.step % settings_.history_interval == 0) files_.add_history(ground_);
+    progress(stage, fraction);
+  }
+
+  void beat(const std::string& text, double fraction) {
+    if (peer_) peer_->heartbeat(text, fraction);
+    progress("InitialStress", fraction);
+  }
+
+  void progress(const char* stage, double fraction) {
+    if (!options_.prints_progress || seconds_since(last_progress_) < progress_seconds) return;
+    last_progress_ = Clock::now();
+    const double all = seconds_since(begin_);
+    print_progress(fmt::format("side=continuum stage={} step={} time={:.6g} fraction={:.4f} wait={:.3f}", stage,
+                               ground_.step, ground_.time, std::clamp(fraction, 0.0, 1.0),
+                               peer_ && all > 0 ? peer_->seconds_waiting() / all : 0.0));
+  }
+
+  bool stop_requested() {
+    if (interrupt_requested() && !report_.is_interrupted) {
+      report_.is_interrupted = true;
+      spdlog::warn("interrupted at step {}: finishing", ground_.step);
+    }
+    return report_.is_interrupted;
+  }
+
+  void begin_stage(const char* name) {
+    report_.stages.push_back({name, 0, ""});
+    stage_begin_ = Clock::now();
+  }
+
+  void end_stage(const std::string& achievement) {
+    StageReport& s = report_.stages.back();
+    s.seconds = seconds_since(stage_begin_);
+    s.achievement = achievement;
+    static const std::pair<const char*, const char*> paper_steps[] = {
+        {"InitialStress", "1"}, {"Balance", "2"}, {"Excavate", "3"}, {"Apply", "4"}, {"Penetrate", "5 to 7"}};
+    std::string paper;
+    for (const auto& [name, number] : paper_steps)
+      if (s.name == name) paper = fmt::format(" (paper step {})", number);
+    spdlog::info("stage {}{}: {}, {:.2f} s", s.name, paper, achievement, s.seconds);
+  }
+
+  void conclude() {
+    report_.steps = ground_.step;
+    report_.time = ground_.time;
+    report_.last_time_step = ground_.step_sizes.out_of;
+    report_.step_limited_by = ground_.guard.limited_by();
+    report_.step_cuts = ground_.guard.cuts;
+    report_.ledger = ground_.integrator.ledger();
+    const Ledger& l = report_.ledger;
+    const double turnover = std::abs(l.work.gravity) + std::abs(l.work.boundary) + std::abs(l.work.interface) +
+                            std::abs(l.work.baseline) + std::abs(l.work.damped) + l.kinetic + std::abs(l.elastic);
+    report_.ledger_residual_fraction = turnover > 0 ? std::abs(l.residual()) / turnover : 0.0;
+    for (const Vec3& u : ground_.motion.displacement)
+      report_.largest_displacement = std::max(report_.largest_displacement, u.norm());
+    report_.largest_strain_measure = report_.largest_displacement / ground_.interface.mean_facet_size();
+    for (std::size_t p = 0; p < Profile<Phase>::size; ++p)
+      report_.phase_seconds.push_back(ground_.profile.seconds(static_cast<Phase>(p)));
+    Hash h;
+    h.add(std::span<const Vec3>(ground_.motion.displacement));
+    h.add(std::span<const Vec3>(ground_.motion.velocity));
+    report_.state_hash = h.value();
+    report_.position_hash = ground_.interface.position_hash();
+    if (ground_.step % settings_.history_interval != 0) files_.add_history(ground_);
+    files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+    files_.write_interface(ground_,
+                           traction_.empty() ? Vec3s(ground_.interface.facet_count(), Vec3::Zero()) : traction_);
+  }
+
+  const SceneFile& scene_;
+  Settings settings_;
+  RunOptions options_;
+  ResultFiles files_;
+  std::unique_ptr<protocol::Session> peer_;
+  CoupledGround ground_;
+  RunReport report_;
+
+  std::vector<double> mass_;   // per node [kg]
+  Vec3s is_free_;              // in InitialStress
+  Vec3s initial_;              // displacements that gravity caused, for stresses [m]
+  Vec3s reaction_;             // f_A per interface node [N]
+  Vec3s traction_;             // per facet [Pa]
+  std::vector<char> is_left_;  // per zone
+  Clock::time_point begin_ = Clock::now(), stage_begin_, last_progress_;
+};
+
+}  // namespace
+
+RunReport run_continuum(const SceneFile& scene, const std::filesystem::path& results_folder,
+                        std::unique_ptr<protocol::Channel> channel, const RunOptions& options) {
+  return Stages(scene, results_folder, std::move(channel), options).run();
+}
+
+}  // namespace lockstep::continuum

@@ -1,0 +1,98 @@
+#include "continuum_client/timestep.hpp"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "common/random.hpp"
+#include "continuum_client/constants.hpp"
+
+namespace lockstep::continuum {
+
+double lanczos_frequency_squared(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                                 const Vec3s& is_free, int products) {
+  // On q = M^(1/2) u the operator A = M^(-1/2) K M^(-1/2) is symmetric and has the same eigenvalues. Lanczos'
+  // three-term recurrence A q_j = beta_j q_(j-1) + alpha_j q_j + beta_(j+1) q_(j+1) gives a tridiagonal matrix whose
+  // largest eigenvalue rises to that of A.
+  const std::size_t count = mass.size();
+  Vec3s scale(count, Vec3::Zero()), q(count), last(count, Vec3::Zero()), u(count), w(count);
+  Random random(frequency_seed);
+  for (std::size_t i = 0; i < count; ++i) {
+    if (mass[i] > 0) scale[i] = is_free[i] / std::sqrt(mass[i]);
+    for (int c = 0; c < 3; ++c) q[i][c] = is_free[i][c] * random.uniform(-1, 1);
+  }
+  const auto norm = [](const Vec3s& v) {
+    double sum = 0;
+    for (const Vec3& x : v) sum += x.squaredNorm();
+    return std::sqrt(sum);
+  };
+  double length = norm(q);
+  if (!(length > 0)) return 0;
+  std::vector<double> alpha, beta;
+  for (int p = 0; p < products; ++p) {
+    for (std::size_t i = 0; i < count; ++i) q[i] /= length, u[i] = scale[i].cwiseProduct(q[i]);
+    stiffness.multiply(u, w);
+    double a = 0;
+    for (std::size_t i = 0; i < count; ++i) w[i] = scale[i].cwiseProduct(w[i]), a += q[i].dot(w[i]);
+    const double b = beta.empty() ? 0.0 : beta.back();
+    for (std::size_t i = 0; i < count; ++i) {
+      w[i] -= a * q[i] + b * last[i];
+      last[i] = q[i];
+      q[i] = w[i];
+    }
+    alpha.push_back(a);
+    length = norm(q);
+    // The start vector's space is used up: the eigenvalues are exact.
+    if (!(length > std::numeric_limits<double>::epsilon() * std::abs(a))) break;
+    beta.push_back(length);
+  }
+  beta.resize(alpha.size() - 1);
+  const auto n = static_cast<Eigen::Index>(alpha.size());
+  Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver;
+  solver.computeFromTridiagonal(Eigen::Map<const Eigen::VectorXd>(alpha.data(), n),
+                                Eigen::Map<const Eigen::VectorXd>(beta.data(), n - 1), Eigen::EigenvaluesOnly);
+  return std::max(0.0, solver.eigenvalues()[n - 1]);
+}
+
+double gershgorin_frequency_squared(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                                    const Vec3s& is_free) {
+  const std::size_t count = mass.size();
+  std::vector<double> row(count, 0.0);
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::int64_t k = stiffness.row_begin[i]; k < stiffness.row_begin[i + 1]; ++k) {
+      const std::int32_t j = stiffness.column[k];
+      const Mat3 b = is_free[i].asDiagonal() * stiffness.block[k] * is_free[j].asDiagonal();
+      const Mat3 square = b.transpose() * b;
+      const double norm = std::sqrt(
+          std::max(0.0, Eigen::SelfAdjointEigenSolver<Mat3>(square, Eigen::EigenvaluesOnly).eigenvalues()[2]));
+      row[i] += norm;
+      if (j != static_cast<std::int32_t>(i)) row[j] += norm;
+    }
+  double largest = 0;
+  for (std::size_t i = 0; i < count; ++i)
+    if (mass[i] > 0) largest = std::max(largest, row[i] / mass[i]);
+  return largest;
+}
+
+double frequency_squared_bound(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                               const Vec3s& is_free) {
+  const double estimate = lanczos_frequency_squared(stiffness, mass, is_free, frequency_products);
+  return std::min(estimate * frequency_margin * frequency_margin,
+                  gershgorin_frequency_squared(stiffness, mass, is_free));
+}
+
+double contact_frequency_squared(std::span<const std::int32_t> node, std::span<const double> node_stiffness,
+                                 const std::vector<double>& mass, const Vec3s& is_free) {
+  double largest = 0;
+  for (std::size_t i = 0; i < node.size(); ++i)
+    if (is_free[node[i]].maxCoeff() > 0) largest = std::max(largest, 2 * node_stiffness[i] / mass[node[i]]);
+  return largest;
+}
+
+double stable_step(double frequency_squared, double damping) {
+  if (!(frequency_squared > 0)) return std::numeric_limits<double>::infinity();
+  return 2 / std::sqrt(frequency_squared) / std::sqrt(1 + damping);
+}
+
+}  // namespace lockstep::continuum

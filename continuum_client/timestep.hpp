@@ -1,0 +1,40 @@
+// The largest stable time step of the explicit scheme.
+//
+// Leap-frog is stable for omega_max dt <= 2, omega_max^2 the largest eigenvalue of M^-1 K on the free components. Local
+// damping adds alpha |F| against the motion; in the highest mode, which turns sign at each step, that makes the force
+// (1 + alpha) F, so the limit shrinks:
+//   dt = 2 / omega_max / sqrt(1 + alpha)
+// Contacts at the interface add stiffness to nodes. With C the contacts' stiffness, ||C|| <= max(k_n, k_s), and
+// bilinear weights w that sum to one, the block maximum norm of M^-1 C is at most max over nodes of 2 sum(k w) / m, and
+// over grains of a like sum, which is the grains' own limit. So omega^2 <= omega_c^2 + max_nodes 2 sum(k w) / m.
+#pragma once
+#include <span>
+#include <vector>
+
+#include "common/vectors.hpp"
+#include "continuum_client/internal_force.hpp"
+
+namespace lockstep::continuum {
+
+// Largest eigenvalue of M^-1 K on the components that are free, by Lanczos from a fixed start vector: an estimate from
+// below, within a part in a thousand for meshes of engineering [1/s2]. Zero if nothing is free.
+double lanczos_frequency_squared(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                                 const Vec3s& is_free, int products);
+
+// Its rigorous bound from above: max over nodes of sum_j ||K_ij|| / m_i, spectral norms of blocks, held components
+// taken out (block Gershgorin) [1/s2].
+double gershgorin_frequency_squared(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                                    const Vec3s& is_free);
+
+// What the client uses: Lanczos with a margin, or Gershgorin where that is lower [1/s2].
+double frequency_squared_bound(const StiffnessMatrix& stiffness, const std::vector<double>& mass, const Vec3s& is_free);
+
+// max over nodes of 2 sum(k w) / m [1/s2]. `node` are the grid nodes of the interface, `node_stiffness` their sum(k w)
+// [N/m]; nodes with no free component do not count.
+double contact_frequency_squared(std::span<const std::int32_t> node, std::span<const double> node_stiffness,
+                                 const std::vector<double>& mass, const Vec3s& is_free);
+
+// 2 / sqrt(omega^2) / sqrt(1 + damping); infinite for omega^2 = 0 [s].
+double stable_step(double frequency_squared, double damping);
+
+}  // namespace lockstep::continuum

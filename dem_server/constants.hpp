@@ -1,0 +1,60 @@
+// Numbers of the grains' solver that are no scene's business, each with its reason.
+#pragma once
+#include <cstdint>
+
+namespace lockstep::dem {
+
+// Outer list's skin over the inner list's. 6 makes one cell build serve tens of refreshes and keeps the outer list at
+// about three times the contacts; measured flat from 4 to 10.
+inline constexpr double outer_skin_factor = 6;
+
+// A stretched cloud (a grain that flew away) may not ask for more cells than this many a pebble; cells grow instead.
+inline constexpr double cells_per_pebble = 4;
+
+// List entries whose bodies are fetched ahead of use; 32 and 64 measured alike, fewer leave 100,000 grains waiting for
+// memory.
+inline constexpr int prefetch_distance = 32;
+
+// Products of the power iteration, and the share of its estimate of the stable step that is returned: the Rayleigh
+// quotient is below the largest eigenvalue, by 2 to 6 % after 30 products.
+inline constexpr int power_products = 30;
+inline constexpr double power_margin = 0.95;
+
+// Cutting a packing: pebbles whose centre is nearer to a wall than this many radii are left out. At 0.8 the packing has
+// gaps along the walls and collapses; at 0.45 it is just not jammed once relaxed.
+inline constexpr double clip_distance = 0.45;
+
+// Trials of the cube's magnification until the count is met, and how near is near enough.
+inline constexpr int count_trials = 24;
+inline constexpr double count_tolerance = 0.001;
+
+// Relaxing the cut: at most these cycles, with bodies no faster than this [m/s], until no overlap exceeds this share of
+// R (under gravity overlaps are some 1e-3 R).
+inline constexpr int relax_cycles = 3000;
+inline constexpr double relax_speed = 0.3;
+inline constexpr double relaxed_overlap = 0.005;
+
+// Balance: cycles under gravity before the servo may start, and the unbalanced ratio that it starts at. A servo on a
+// packing that still falls would spend its travel on what is not there yet.
+inline constexpr std::uint32_t settle_cycles = 1000;
+inline constexpr double servo_start_ratio = 0.02;
+
+// Inner list's skin over the mean radius: renewed every few tens of steps, nine of ten entries touch.
+inline constexpr double list_skin = 0.05;
+
+// Steps between renewals of the grains' stable step: contacts come and go slowly beside a step, and the limit has its
+// margin.
+inline constexpr std::uint32_t limit_interval = 100;
+
+// The bound that is renewed then is Gershgorin's, 0.6 to 0.75 of the true limit. Its ratio to the power iteration's estimate
+// hardly moves while contacts come and go, so it is measured this rarely, and the bound is scaled by it.
+inline constexpr std::uint32_t calibration_interval = 2000;
+inline constexpr std::uint32_t heartbeat_interval = 50;
+
+// A node's contact stiffness is told anew when it has grown by this factor.
+inline constexpr double stiffness_growth = 1.1;
+
+// An overlap of this many radii is no contact any more: the run is stopped.
+inline constexpr double alarming_overlap = 0.5;
+
+}  // namespace lockstep::dem

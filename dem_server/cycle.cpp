@@ -1,0 +1,115 @@
+// The grains' half of the coupled step. On entry x, orientations and facets are at t_n (the facets once move_facets has
+// returned), velocities and spins at t_{n-1/2}; forces at t_n use x(n) and v(n-1/2), as one monolithic explicit code would.
+#include "dem_server/cycle.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "dem_server/timestep.hpp"
+
+namespace lockstep::dem {
+
+namespace {
+
+void interface_contacts(Model& m) {
+  const auto timing = m.profile.measure(Phase::InterfaceContacts);
+  m.facet_totals = m.facets.compute(m.particles, m.facet_material, m.last_time_step);  // paper eqs 1-4, 8-13
+}
+
+void pair_contacts(Model& m) {
+  const auto timing = m.profile.measure(Phase::PairContacts);
+  m.contacts.update(m.particles);
+  m.pair_totals = m.contacts.compute(m.particles, m.material, m.last_time_step);
+}
+
+void wall_contacts(Model& m) {
+  const auto timing = m.profile.measure(Phase::WallContacts);
+  m.plane_totals = m.planes.compute(m.particles, m.material, m.last_time_step);
+  if (m.pile) m.pile_totals = m.pile->compute(m.particles, m.material, m.last_time_step);
+}
+
+void move(Model& m) {
+  const auto timing = m.profile.measure(Phase::Motion);
+  integrate(m.particles, m.gravity, m.last_time_step, m.time_step, m.damping, m.motion,
+            m.is_fixed.empty() ? nullptr : &m.is_fixed);  // paper eqs 14-17
+  if (m.pile) m.pile->advance(m.time_step);
+}
+
+// What one contact of each body with a facet would allow, whether there is one or not: for a lever of the equivalent radius,
+// omega^2 = k (1/m + R^2/I) bounds it in any direction.
+double first_touch_step(const Model& m, double damping) {
+  double largest = 0;  // omega^2 [1/s2]
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b) {
+    const double radius = m.particles.equivalent_radius[b];
+    const double stiffness = std::max(m.facet_material.normal_stiffness(radius), 2 * m.material.normal_stiffness(radius, radius));
+    const double shear = 1 / m.particles.mass[b] + radius * radius / m.particles.inertia[b].minCoeff();
+    largest = std::max(largest, stiffness * std::max(1 / m.particles.mass[b], shear / m.material.stiffness_ratio));
+  }
+  return 2 / std::sqrt(largest * (1 + damping));
+}
+
+void book(Model& m) {
+  const auto timing = m.profile.measure(Phase::Ledger);
+  m.ledger.book(m);
+}
+
+}  // namespace
+
+bool cycle(Model& m, Boundary& boundary) {
+  if (!boundary.move_facets(m)) return false;  // facets to x(n)                          (step 5 of the procedure)
+  m.particles.clear_forces();
+  interface_contacts(m);                       // first, since the continuum waits for them
+  boundary.take_forces(m);                     // nodal forces F(n)                       (step 6)
+  pair_contacts(m);
+  wall_contacts(m);
+  move(m);                                     // v(n+1/2), x(n+1)                        (step 7)
+  book(m);
+  m.time += m.time_step;
+  m.last_time_step = m.time_step;
+  ++m.step;
+  return true;
+}
+
+void evaluate_forces(Model& m) {
+  const double last = m.last_time_step;
+  m.last_time_step = 0;  // no shear increments, no slip
+  m.particles.clear_forces();
+  interface_contacts(m);
+  pair_contacts(m);
+  wall_contacts(m);
+  m.last_time_step = last;
+}
+
+double StepLimit::renew(const Model& m, double damping) {
+  std::vector<ContactView> contacts;
+  const auto add = [&](const ContactView& contact) { contacts.push_back(contact); };
+  m.contacts.for_each_contact(add);
+  m.facets.for_each_contact(add);
+  m.planes.for_each_contact(add);
+  if (m.pile) m.pile->for_each_contact(add);
+
+  StiffnessSum stiffness;
+  stiffness.reset(m.particles.body_count());
+  for (const ContactView& contact : contacts) stiffness.add(contact, m.particles);
+  const double bound = stiffness.stable_step(0, &worst_body_);
+  if (renewals_++ % (calibration_interval / limit_interval) == 0 && std::isfinite(bound))
+    calibration_ = std::max(1.0, critical_step_power(contacts, m.particles, 0) / bound);
+  step_ = calibration_ * bound / std::sqrt(1 + damping);
+  if (const double first = first_touch_step(m, damping); first < step_) {
+    step_ = first;
+    worst_body_ = -1;
+  }
+  return step_;
+}
+
+std::uint64_t Model::hash() const {
+  Hash h;
+  particles.hash(h);
+  contacts.hash(h);
+  facets.hash(h);
+  planes.hash(h);
+  if (pile) pile->hash(h);
+  return h.value();
+}
+
+}  // namespace lockstep::dem

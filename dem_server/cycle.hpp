@@ -1,0 +1,87 @@
+// One time step of the grains. cycle.cpp is the place to start reading.
+//
+// The facets are the grains' boundary. Who moves them is a Boundary: the peer's velocities in a coupled run (stages.cpp), the
+// servo while the packing is balanced (servo.hpp). Both see the same step.
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "common/profile.hpp"
+#include "dem_server/contacts.hpp"
+#include "dem_server/integrator.hpp"
+#include "dem_server/interface_facets.hpp"
+#include "dem_server/ledger.hpp"
+#include "dem_server/particles.hpp"
+#include "dem_server/walls.hpp"
+
+namespace lockstep::dem {
+
+enum class Phase { WaitForPeer, InterfaceContacts, PairContacts, WallContacts, Motion, Ledger, Count };
+
+struct Model {
+  // `skin` of the contact list [m].
+  explicit Model(double skin) : contacts(skin) {}
+
+  Particles particles;
+  std::vector<char> is_fixed;  // per body: held in place; empty when none is
+  Vec3 gravity = Vec3::Zero();  // [m/s2]
+  double damping = 0;           // local, of force and torque
+
+  GrainMaterial material;
+  FacetMaterial facet_material;
+  PairContacts contacts;
+  InterfaceFacets facets;
+  Planes planes;
+  std::optional<Pile> pile;
+
+  std::uint64_t step = 0;
+  double time = 0;           // t_n [s]
+  double last_time_step = 0;  // from n-1 to n [s]; 0 before the first step
+  double time_step = 0;       // from n to n+1 [s]
+
+  ContactTotals pair_totals;
+  FacetTotals facet_totals;
+  WallTotals plane_totals;
+  PileTotals pile_totals;
+  MotionTotals motion;
+  Ledger ledger;
+  Profile<Phase> profile;
+
+  // Hash of everything that decides the future: poses, velocities, springs, facets, pile.
+  std::uint64_t hash() const;
+};
+
+class Boundary {
+ public:
+  virtual ~Boundary() = default;
+  // Brings the facets to t_n and sets model.time_step. False: the run is over, and nothing has been changed.
+  virtual bool move_facets(Model& model) = 0;
+  // The interface forces F(n) stand in model.facets.
+  virtual void take_forces(Model& model) = 0;
+};
+
+// Advances from t_n to t_{n+1}; false when the boundary says that the run is over.
+bool cycle(Model& model, Boundary& boundary);
+
+// Forces at the present positions with nothing moving: brings contacts, totals and nodal forces up to date.
+void evaluate_forces(Model& model);
+
+// The largest stable step of the grains with their present contacts, walls, pile and facets included; never more than what
+// one contact of each body with a facet would allow, so that a first touch is safe. Gershgorin's bound, scaled by what the
+// power iteration has found it to fall short by (timestep.hpp).
+class StepLimit {
+ public:
+  // `damping` is the largest local damping that the step must bear.
+  double renew(const Model& model, double damping);  // [s]
+  double step() const { return step_; }              // as of the last renewal [s]
+  int worst_body() const { return worst_body_; }     // -1: a first touch limits
+
+ private:
+  double step_ = 0;
+  std::int32_t worst_body_ = -1;
+  double calibration_ = 1;         // true limit over bound
+  std::uint64_t renewals_ = 0;
+};
+
+}  // namespace lockstep::dem

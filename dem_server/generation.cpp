@@ -1,0 +1,341 @@
+#include "dem_server/generation.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include "common/checks.hpp"
+#include "common/random.hpp"
+#include "dem_server/clumps.hpp"
+#include "dem_server/contacts.hpp"
+#include "dem_server/integrator.hpp"
+#include "dem_server/measure.hpp"
+
+namespace lockstep::dem {
+
+namespace {
+
+// Friction while packing against the porosity that make_cube reaches with it: 500 grains, 50 kPa, E* = 94 MPa,
+// elongation 1.5 (dem_server/README.md has the runs; scatter between seeds 0.003). Without any friction clumps never
+// come to rest.
+constexpr std::array<double, 6> table_friction = {0.02, 0.05, 0.1, 0.2, 0.4, 0.7};
+using Row = std::array<double, 6>;
+constexpr Row table_1 = {0.375, 0.386, 0.396, 0.415, 0.434, 0.445};
+constexpr Row table_2 = {0.322, 0.346, 0.366, 0.398, 0.433, 0.457};
+constexpr Row table_3 = {0.335, 0.348, 0.369, 0.399, 0.434, 0.457};
+constexpr Row table_5 = {0.318, 0.338, 0.367, 0.394, 0.430, 0.453};
+constexpr Row table_9 = {0.314, 0.336, 0.357, 0.389, 0.426, 0.447};
+constexpr double table_elongation = 1.5;
+
+constexpr double porosity_tolerance = 0.004;  // ends the tries; what comes out is held to
+constexpr double porosity_promise = 0.005;
+constexpr int most_tries = 5;
+
+constexpr double step_share = 0.3;         // of sqrt(m/k_n) of the smallest grain; 0.6 is the last quiet one
+constexpr double packing_damping = 0.7;    // local damping
+constexpr double inserted_size = 0.5;      // of the size at the looked-for porosity: a tenth of the cell is solid
+constexpr int insertion_steps = 300;       // push overlaps apart
+constexpr double insertion_drag = 0.9;     // share of velocity kept a step: overlaps of a whole grain push hard
+constexpr double gas_drag = 0.98;          // while grains fly
+constexpr double squeeze_drag = 0.998;     // while they touch: only rattlers feel it
+constexpr int growth_interval = 5;         // steps between changes of size
+constexpr double gas_growth = 3e-4;        // relative, a step, until grains begin to touch for good
+constexpr double loose_growth = 4e-5;      // without pressure, falling to
+constexpr double dense_growth = 6e-6;      // at pressure_rise and above: inertial number 1e-3 at 50 kPa
+constexpr double gas_end_porosity = 0.50;  // looser than any packing
+constexpr double pressure_rise = 0.2;      // of the pressure asked for
+constexpr double bulk_over_contact = 0.4;  // bulk modulus of a packing over E*, for the servo's gain
+constexpr double servo_gain = 0.2;         // of the pressure error, a growth interval
+constexpr double pressure_tolerance = 0.01;
+constexpr double settled_ratio = 2e-3;   // unbalanced ratio at the end of packing
+constexpr double settled_growth = 1e-4;  // of size over `settled_window` steps: creep passes the force test alone
+constexpr std::int64_t settled_window = 500;
+constexpr std::int64_t most_steps = 60000;
+constexpr double release_step = 1e-4;  // relative shrinking at once
+constexpr int release_interval = 60;   // steps after each
+
+double interpolate(const std::array<double, 6>& from, const std::array<double, 6>& to, double x) {
+  for (std::size_t k = 1; k < from.size(); ++k)
+    if (x <= from[k] || k + 1 == from.size()) {
+      const double share = std::clamp((x - from[k - 1]) / (from[k] - from[k - 1]), 0.0, 1.0);
+      return to[k - 1] + share * (to[k] - to[k - 1]);
+    }
+  return to.back();
+}
+
+// A nearly round clump packs like a sphere: rows are blended by the elongation.
+Row porosity_row(int pebbles, double elongation) {
+  const Row& clump = pebbles == 2 ? table_2 : pebbles == 3 ? table_3 : pebbles == 5 ? table_5 : table_9;
+  const double share = pebbles == 1 ? 0.0 : std::clamp((elongation - 1) / (table_elongation - 1), 0.0, 1.0);
+  Row row;
+  for (std::size_t k = 0; k < row.size(); ++k) row[k] = table_1[k] + share * (clump[k] - table_1[k]);
+  return row;
+}
+
+void append_copy(const Particles& from, std::int32_t body, const Vec3& shift, Particles& to) {
+  to.position.push_back(from.position[body] + shift);
+  to.orientation.push_back(from.orientation[body]);
+  to.velocity.push_back(from.velocity[body]);
+  to.spin.push_back(from.spin[body]);
+  to.mass.push_back(from.mass[body]);
+  to.equivalent_radius.push_back(from.equivalent_radius[body]);
+  to.inertia.push_back(from.inertia[body]);
+  to.force.push_back(Vec3::Zero());
+  to.torque.push_back(Vec3::Zero());
+  const auto copy = static_cast<std::int32_t>(to.position.size() - 1);
+  for (std::int32_t p = from.pebble_begin[body]; p < from.pebble_begin[body + 1]; ++p) {
+    to.pebble_body.push_back(copy);
+    to.pebble_offset.push_back(from.pebble_offset[p]);
+    to.pebble_radius.push_back(from.pebble_radius[p]);
+    to.pebble_center.push_back(from.pebble_center[p] + shift);
+  }
+  to.pebble_begin.push_back(static_cast<std::int32_t>(to.pebble_body.size()));
+}
+
+// Grains in a fixed periodic cell whose size is the knob.
+class PackingCell {
+ public:
+  PackingCell(Particles grains, const Vec3& period, double radius, const GrainMaterial& material)
+      : particles(std::move(grains)), period_(period), contacts_(0.08 * radius, period), material_(material) {}
+
+  Particles particles;
+  std::int64_t steps = 0;
+  double unbalanced = 0;  // mean unbalanced over mean contact force, last step
+
+  void set_friction(double friction) { material_.friction = friction; }
+
+  void grow(double relative) {
+    for (std::size_t b = 0; b < particles.body_count(); ++b)
+      particles.scale(static_cast<std::int32_t>(b), 1 + relative);
+  }
+
+  void cycle(int count, double drag) {
+    const double smallest = *std::min_element(particles.equivalent_radius.begin(), particles.equivalent_radius.end());
+    const double lightest = *std::min_element(particles.mass.begin(), particles.mass.end());
+    const double dt = step_share * std::sqrt(lightest / material_.normal_stiffness(smallest, smallest));
+    for (int k = 0; k < count; ++k, ++steps) {
+      particles.clear_forces();
+      contacts_.update(particles);
+      const ContactTotals totals = contacts_.compute(particles, material_, dt);
+      MotionTotals motion;
+      integrate(particles, Vec3::Zero(), dt, dt, packing_damping, motion);
+      unbalanced =
+          unbalanced_ratio(motion.unbalanced_force, particles.body_count(), totals.contact_force, totals.active);
+      for (Vec3& v : particles.velocity) v *= drag;
+      for (Vec3& w : particles.spin) w *= drag;
+    }
+  }
+
+  double pressure() const {
+    double sum = 0;
+    contacts_.for_each_branch([&](const ContactView& c, const Vec3& branch) { sum += c.force_on_a.dot(branch); });
+    return -sum / (3 * period_.prod());
+  }
+
+  double porosity() const { return 1 - solid_volume(particles) / period_.prod(); }
+
+  double coordination() const {
+    Coordination coordination(particles.body_count());
+    contacts_.for_each_contact([&](const ContactView& c) { coordination.add(c); });
+    return coordination.mean();
+  }
+
+ private:
+  Vec3 period_;
+  PairContacts contacts_;
+  GrainMaterial material_;
+};
+
+Particles insert_at_random(const CubeRequest& request, double factor, const Vec3& period) {
+  const ClumpTemplate shape = make_clump(request.pebbles, request.elongation);
+  Random random(request.seed);
+  // Uniform in [low, high] with the mean asked for; the sample's own mean is then made exact.
+  const double low = 2 * request.radius_mean / (1 + request.radius_ratio), high = low * request.radius_ratio;
+  std::vector<double> radius(request.grains);
+  for (double& r : radius) r = random.uniform(low, high);
+  const double mean = std::accumulate(radius.begin(), radius.end(), 0.0) / request.grains;
+  Particles particles;
+  for (const double r : radius) {
+    const double x = random.uniform(), y = random.uniform(), z = random.uniform();
+    particles.add(shape, factor * r * request.radius_mean / mean, request.density, Vec3(x, y, z).cwiseProduct(period),
+                  random.rotation());
+  }
+  return particles;
+}
+
+// Cells' order, so that neighbours in space are neighbours in memory.
+Particles sorted_in_space(const Particles& from, double cell) {
+  std::vector<std::int32_t> order(from.body_count());
+  std::iota(order.begin(), order.end(), 0);
+  const auto key = [&](std::int32_t b) {
+    const Vec3 c = (from.position[b] / cell).array().floor();
+    return std::array<double, 3>{c.z(), c.y(), c.x()};
+  };
+  std::stable_sort(order.begin(), order.end(), [&](std::int32_t a, std::int32_t b) { return key(a) < key(b); });
+  Particles to;
+  for (const std::int32_t b : order) append_copy(from, b, Vec3::Zero(), to);
+  return to;
+}
+
+void check(const CubeRequest& request) {
+  if (request.grains < 50)
+    throw InputError(fmt::format("grains.packing.cube_grains = {}: must be at least 50", request.grains));
+  if (!(request.radius_mean > 0) || !(request.radius_ratio >= 1))
+    throw InputError(fmt::format("grains.packing: radius {} and radius_ratio {} must be positive and at least 1",
+                                 request.radius_mean, request.radius_ratio));
+  if (!(request.pressure > request.released_pressure && request.released_pressure > 0))
+    throw InputError(
+        fmt::format("grains.packing.cube_pressure = {} Pa: must lie above the {} Pa that it is let down to",
+                    request.pressure, request.released_pressure));
+  const PorosityRange range = reachable_porosity(request.pebbles, request.elongation);
+  if (!(request.porosity >= range.low && request.porosity <= range.high))
+    throw InputError(fmt::format(
+        "grains.packing.porosity = {}: grains of {} pebbles and elongation {} reach {:.3f} to {:.3f}; choose a "
+        "porosity in "
+        "that range{}",
+        request.porosity, request.pebbles, request.elongation, range.low, range.high,
+        request.porosity < range.low && request.pebbles == 1 ? ", or clumps (grains.pebbles = 3), which pack denser"
+                                                             : ""));
+}
+
+}  // namespace
+
+PorosityRange reachable_porosity(int pebbles, double elongation) {
+  make_clump(pebbles, elongation);  // refuses what cannot be made
+  const Row row = porosity_row(pebbles, elongation);
+  return {row.front() - porosity_tolerance, row.back() + porosity_tolerance};
+}
+
+Cube make_cube(const CubeRequest& request) {
+  check(request);
+  const auto report = [&](std::string_view what, double fraction) {
+    if (request.progress) request.progress(what, fraction);
+  };
+  const Row row = porosity_row(request.pebbles, request.elongation);
+
+  // The cell holds the grains, at the size asked for, at the porosity asked for.
+  const double solid = solid_volume(insert_at_random(request, 1, Vec3::Ones()));
+  const Vec3 period = Vec3::Constant(std::cbrt(solid / (1 - request.porosity)));
+
+  GrainMaterial material = request.material;
+  material.friction = 0;
+  material.damping_ratio = 0;
+  PackingCell gas(insert_at_random(request, inserted_size, period), period, request.radius_mean, material);
+  report("insert", 0);
+  gas.cycle(insertion_steps, insertion_drag);
+  while (gas.porosity() > gas_end_porosity) {
+    gas.grow(growth_interval * gas_growth);
+    gas.cycle(growth_interval, gas_drag);
+  }
+
+  Cube cube;
+  cube.period = period;
+  cube.steps = gas.steps;
+  double friction = interpolate(row, table_friction, request.porosity);
+  const double stiffness = 3 * bulk_over_contact * request.material.contact_modulus;  // dp per relative growth [Pa]
+  for (cube.tries = 1; true; ++cube.tries) {
+    PackingCell cell = gas;
+    cell.steps = 0;
+    cell.set_friction(friction);
+    report("squeeze", 0);
+    double pressure = cell.pressure();
+    // Growth is the servo: in proportion to the pressure that is missing, up to a rate that falls as the grains come to
+    // bear.
+    double window_growth = 0;
+    std::int64_t window_begin = cell.steps;
+    while (true) {
+      const double wanted = servo_gain * (request.pressure - pressure) / stiffness;
+      const double slackness = std::max(0.0, 1 - pressure / (pressure_rise * request.pressure));
+      const double fastest = growth_interval * (dense_growth + slackness * (loose_growth - dense_growth));
+      const double growth = std::clamp(wanted, -fastest, fastest);
+      cell.grow(growth);
+      window_growth += growth;
+      cell.cycle(growth_interval, squeeze_drag);
+      pressure = cell.pressure();
+      if (cell.steps - window_begin < settled_window) continue;
+      if (std::abs(pressure / request.pressure - 1) < pressure_tolerance && cell.unbalanced < settled_ratio &&
+          std::abs(window_growth) < settled_growth)
+        break;
+      report("squeeze", pressure / request.pressure);
+      window_growth = 0;
+      window_begin = cell.steps;
+      if (cell.steps > most_steps)
+        throw NumericalError(
+            fmt::format("grains.packing: the cube does not settle at {:.3g} Pa within {} steps (pressure {:.3g} Pa, "
+                        "unbalanced ratio {:.2g}, "
+                        "friction {:.3f}): try another seed or a higher cube_pressure",
+                        request.pressure, most_steps, pressure, cell.unbalanced, friction));
+    }
+    cube.porosity = cell.porosity();
+    cube.pressure = pressure;
+    cube.preparation_friction = friction;
+    cube.coordination = cell.coordination();
+
+    const double miss = request.porosity - cube.porosity;
+    // The table's shape, moved through what this seed and pressure gave, says the next friction.
+    const double next = interpolate(row, table_friction, interpolate(table_friction, row, friction) + miss);
+    if (std::abs(miss) > porosity_tolerance && next != friction && cube.tries < most_tries) {
+      cube.steps += cell.steps;
+      friction = next;
+      continue;
+    }
+
+    report("let down", 0);
+    for (int k = 0; k < 1000 && pressure > 1.05 * request.released_pressure; ++k) {
+      cell.grow(-std::min(release_step, 0.5 * (pressure - request.released_pressure) / stiffness));
+      cell.cycle(release_interval, squeeze_drag);
+      pressure = cell.pressure();
+    }
+    cube.released_porosity = cell.porosity();
+    cube.released_pressure = pressure;
+    cube.steps += cell.steps;
+    cube.particles = std::move(cell.particles);
+    break;
+  }
+  if (std::abs(cube.porosity - request.porosity) > porosity_promise)
+    throw NumericalError(
+        fmt::format("grains.packing.porosity = {}: the cube came out at {:.4f} with preparation friction {:.3f} "
+                    "after {} tries; ask for that porosity or for another seed",
+                    request.porosity, cube.porosity, cube.preparation_friction, cube.tries));
+
+  // Grains grew to fill the cell; the whole picture is now scaled so that they have the sizes asked for. Contact
+  // stiffness goes as the radius and area as its square: the stresses stay.
+  Particles& particles = cube.particles;
+  const double mean = std::accumulate(particles.equivalent_radius.begin(), particles.equivalent_radius.end(), 0.0) /
+                      static_cast<double>(particles.body_count());
+  const double factor = request.radius_mean / mean;
+  cube.period *= factor;
+  for (std::size_t b = 0; b < particles.body_count(); ++b) {
+    particles.velocity[b].setZero();
+    particles.spin[b].setZero();
+    for (int k = 0; k < 3; ++k) {
+      double x = factor * particles.position[b][k];
+      x -= cube.period[k] * std::floor(x / cube.period[k]);
+      particles.position[b][k] = x < cube.period[k] ? x : 0.0;
+    }
+    particles.scale(static_cast<std::int32_t>(b), factor);
+  }
+  particles = sorted_in_space(particles, 2 * request.radius_mean);
+  report("done", 1);
+  return cube;
+}
+
+Particles tile(const Cube& cube, const Vec3& low, const Vec3& high) {
+  LOCKSTEP_ASSERT((cube.period.array() > 0).all(), "a cube without extent");
+  const Box box{low, high};
+  std::array<int, 3> copies;
+  for (int k = 0; k < 3; ++k) copies[k] = std::max(0, static_cast<int>(std::ceil((high[k] - low[k]) / cube.period[k])));
+  Particles filled;
+  for (int z = 0; z < copies[2]; ++z)
+    for (int y = 0; y < copies[1]; ++y)
+      for (int x = 0; x < copies[0]; ++x) {
+        const Vec3 shift = low + Vec3(x, y, z).cwiseProduct(cube.period);
+        for (std::size_t b = 0; b < cube.particles.body_count(); ++b)
+          if (box.contains(cube.particles.position[b] + shift))
+            append_copy(cube.particles, static_cast<std::int32_t>(b), shift, filled);
+      }
+  return filled;
+}
+
+}  // namespace lockstep::dem

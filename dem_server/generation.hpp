@@ -1,0 +1,66 @@
+// The packing: a periodic cube of grains at a given porosity, and bricks of it that fill a space.
+//
+//   insert at random, half size  ->  grow in a periodic cell  ->  squeeze to the pressure, friction mu_prep  ->  let
+//   down
+//        (overlaps pushed out)         (drag: a gas of grains      (growth is the servo)                      to a few
+//        kPa
+//                                       spins and flies)
+//
+// The friction while packing sets the porosity: a table per shape gives the first guess, a secant corrects it from what
+// came out. Packing at tens of kPa and letting down afterwards is quasi-static; packing straight to a few kPa stops on
+// inertia. Rejected: growth in place in the cylinder (60 to 130 s of CPU for what bricks do in 20), pouring (slower
+// still, unfinished).
+#pragma once
+#include <cstdint>
+#include <functional>
+#include <string_view>
+
+#include "dem_server/contact_law.hpp"
+#include "dem_server/particles.hpp"
+
+namespace lockstep::dem {
+
+struct CubeRequest {
+  int grains = 1000;                // at least 50
+  double radius_mean = 0.028;       // equivalent; of the grains that come out [m]
+  double radius_ratio = 4.0 / 3.0;  // largest over smallest, uniform between [-]
+  int pebbles = 3;                  // 1, 2, 3, 5 or 9
+  double elongation = 1.5;          // A/B
+  double density = 2650;            // of the solid [kg/m3]
+  double porosity = 0.37;           // bulk, at `pressure`
+  double pressure = 50e3;           // of packing [Pa]
+  double released_pressure = 2e3;   // after it was let down [Pa]
+  GrainMaterial material;           // friction is for later; preparation chooses its own
+  std::uint64_t seed = 1;
+  std::function<void(std::string_view, double)> progress;  // what is done, and its fraction; may be empty
+};
+
+struct Cube {
+  Particles particles;         // at rest, at the released pressure, inside 0..period
+  Vec3 period = Vec3::Zero();  // [m]
+  double porosity = 0;         // at the packing pressure
+  double pressure = 0;         // that porosity was taken at [Pa]
+  double released_porosity = 0;
+  double released_pressure = 0;     // [Pa]
+  double preparation_friction = 0;  // [-]
+  double coordination = 0;          // at the packing pressure
+  int tries = 0;                    // of the preparation friction
+  std::int64_t steps = 0;           // of all tries
+};
+
+struct PorosityRange {
+  double low, high;
+};
+
+// What a shape reaches with preparation frictions from 0.02 to 0.7. InputError for a shape that cannot be made.
+PorosityRange reachable_porosity(int pebbles, double elongation);
+
+// InputError, before any cycling, when the porosity is out of reach; NumericalError when the packing does not settle.
+// The same request gives the same bits.
+Cube make_cube(const CubeRequest& request);
+
+// Copies of the cube, side by side from `low` on, as many as fill the box: all bodies whose centre lies in it, lowest
+// layer of cubes first. The last copies are cut off at `high`.
+Particles tile(const Cube& cube, const Vec3& low, const Vec3& high);
+
+}  // namespace lockstep::dem

@@ -1,0 +1,678 @@
+#include "dem_server/interface_facets.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <utility>
+
+#include "common/checks.hpp"
+
+namespace lockstep::dem {
+
+namespace {
+
+// Facets within this many R of a pebble's reach are listed, so that a list lasts until its pebble has moved as far.
+constexpr double skin = 0.5;
+// Boxes are made anew when nodes may have moved by this share of the smallest facet.
+constexpr double box_drift = 0.01;
+// A centre deeper than this times R behind the surface counts as tunnelled.
+constexpr double tunnel_depth = 0.5;
+// Closer to an edge than this times R, the direction from the edge to the centre is round-off: the facets' normals
+// decide.
+constexpr double edge_contact_depth = 1e-9;
+// Newton's last step in (xi, eta) leaves an error of about its square.
+constexpr double last_newton_step = 1e-8;
+constexpr int max_newton_steps = 30;
+// Minima beyond these in one concave corner of facets are contacts of their own.
+constexpr std::size_t max_merged = 8;
+// Normals whose Gram determinant is below this are one direction: the deeper of them says it all.
+constexpr double least_turn = 1e-14;
+
+// x(xi, eta) - center = r + b xi + c eta + e xi eta, the bilinear facet in monomials.
+struct Monomials {
+  Vec3 r, b, c, e;
+
+  Monomials(const FacetCorners& x, const Vec3& center)
+      : r(0.25 * (x[0] + x[1] + x[2] + x[3]) - center),
+        b(0.25 * (x[1] + x[2] - x[0] - x[3])),
+        c(0.25 * (x[2] + x[3] - x[0] - x[1])),
+        e(0.25 * (x[0] + x[2] - x[1] - x[3])) {}
+
+  Vec3 at(double xi, double eta) const { return r + xi * b + eta * c + (xi * eta) * e; }
+};
+
+// f = |x - c|^2 / 2: its gradient and Hessian in (xi, eta).
+struct Slope {
+  double g_xi, g_eta, h_xi, h_eta, h_mixed;
+  bool is_convex;
+
+  Slope(const Monomials& m, double xi, double eta) {
+    const Vec3 x = m.at(xi, eta), t_xi = m.b + eta * m.e, t_eta = m.c + xi * m.e;
+    g_xi = x.dot(t_xi), g_eta = x.dot(t_eta);
+    h_xi = t_xi.squaredNorm(), h_eta = t_eta.squaredNorm();
+    h_mixed = t_xi.dot(t_eta) + x.dot(m.e);
+    is_convex = h_mixed * h_mixed < (1 - 1e-9) * h_xi * h_eta;
+  }
+};
+
+struct Parameters {
+  double xi = 0, eta = 0;
+};
+
+// Newton's method without bounds; false when it runs away, meets a saddle or does not settle.
+bool newton(const Monomials& m, Parameters& p) {
+  for (int step = 0; step < max_newton_steps; ++step) {
+    const Slope s(m, p.xi, p.eta);
+    if (!s.is_convex) return false;
+    const double det = s.h_xi * s.h_eta - s.h_mixed * s.h_mixed;
+    const double d_xi = -(s.h_eta * s.g_xi - s.h_mixed * s.g_eta) / det;
+    const double d_eta = -(s.h_xi * s.g_eta - s.h_mixed * s.g_xi) / det;
+    p.xi += d_xi, p.eta += d_eta;
+    if (std::max(std::abs(p.xi), std::abs(p.eta)) > 1e3) return false;
+    if (std::max(std::abs(d_xi), std::abs(d_eta)) < last_newton_step) return true;
+  }
+  return false;
+}
+
+// Goes down from a point of the boundary, inside [-1, 1]^2: Newton's direction where it leads down, else the
+// gradient's, halved until f falls. Ends no higher than it began.
+void descend(const Monomials& m, Parameters& p) {
+  double f = 0.5 * m.at(p.xi, p.eta).squaredNorm();
+  for (int step = 0; step < max_newton_steps; ++step) {
+    const Slope s(m, p.xi, p.eta);
+    const bool xi_is_held = (p.xi >= 1 && s.g_xi < 0) || (p.xi <= -1 && s.g_xi > 0);
+    const bool eta_is_held = (p.eta >= 1 && s.g_eta < 0) || (p.eta <= -1 && s.g_eta > 0);
+    double d_xi = xi_is_held ? 0 : -s.g_xi / s.h_xi, d_eta = eta_is_held ? 0 : -s.g_eta / s.h_eta;
+    if (!xi_is_held && !eta_is_held && s.is_convex) {
+      const double det = s.h_xi * s.h_eta - s.h_mixed * s.h_mixed;
+      d_xi = -(s.h_eta * s.g_xi - s.h_mixed * s.g_eta) / det;
+      d_eta = -(s.h_xi * s.g_eta - s.h_mixed * s.g_xi) / det;
+    }
+    if (std::max(std::abs(d_xi), std::abs(d_eta)) < 1e-15) return;
+    bool has_fallen = false;
+    for (double share = 1; share > 1e-9; share *= 0.5) {
+      const Parameters q{std::clamp(p.xi + share * d_xi, -1.0, 1.0), std::clamp(p.eta + share * d_eta, -1.0, 1.0)};
+      const double f_q = 0.5 * m.at(q.xi, q.eta).squaredNorm();
+      if (f_q < f) {
+        p = q, f = f_q, has_fallen = true;
+        break;
+      }
+    }
+    if (!has_fallen) return;
+  }
+}
+
+FacetPoint finish(const FacetCorners& x, const Vec3& center, const Parameters& p) {
+  FacetPoint out;
+  out.xi = p.xi, out.eta = p.eta;
+  out.weights = bilinear_weights(p.xi, p.eta);
+  out.point = interpolate(out.weights, x);
+  out.distance = (center - out.point).norm();
+  const Vec3 normal = facet_tangent_xi(x, p.eta).cross(facet_tangent_eta(x, p.xi));
+  const double area = normal.norm();
+  out.facet_normal = area > 0 ? Vec3(normal / area) : facet_area_vector(x).normalized();
+  const bool on_xi = std::abs(p.xi) == 1, on_eta = std::abs(p.eta) == 1;
+  if (on_xi && on_eta) {
+    out.feature = FacetFeature::Vertex;
+    out.feature_index = p.eta < 0 ? (p.xi < 0 ? 0 : 1) : (p.xi < 0 ? 3 : 2);
+  } else if (on_xi || on_eta) {
+    out.feature = FacetFeature::Edge;
+    out.feature_index = on_eta ? (p.eta < 0 ? 0 : 2) : (p.xi < 0 ? 3 : 1);
+  }
+  return out;
+}
+
+}  // namespace
+
+FacetPoint closest_point(const FacetCorners& x, const Vec3& center) {
+  const Monomials m(x, center);
+
+  // Start from the parallelogram (e = 0): there f is quadratic and this is its minimum.
+  Parameters p;
+  const double bb = m.b.squaredNorm(), cc = m.c.squaredNorm(), bc = m.b.dot(m.c), rb = m.r.dot(m.b), rc = m.r.dot(m.c);
+  const double det = bb * cc - bc * bc;
+  if (det > 0) {
+    p.xi = (bc * rc - cc * rb) / det;
+    p.eta = (bc * rb - bb * rc) / det;
+  }
+  // The mixed term of the Hessian holds (x - c) . e: where its part from the warp cannot outweigh the rest, f has one
+  // minimum.
+  const bool may_have_several =
+      m.e.squaredNorm() * (m.r.squaredNorm() + bb + cc) > 0.01 * std::min(bb, cc) * std::min(bb, cc);
+  const bool has_settled = newton(m, p);
+  const bool is_inside = has_settled && std::max(std::abs(p.xi), std::abs(p.eta)) < 1;
+  if (is_inside && !may_have_several) return finish(x, center, p);
+
+  // Otherwise the minimum lies on the boundary, or on another branch inside. Of a convex function it lies on an edge
+  // beyond which the free minimum lies: the way from one to the other leaves the facet there.
+  const bool is_convex = has_settled && !may_have_several;
+  const std::array<bool, 4> is_beyond = {p.eta <= -1, p.xi >= 1, p.eta >= 1, p.xi <= -1};
+  Parameters best = p;
+  double best_f = is_inside ? m.at(p.xi, p.eta).squaredNorm() : std::numeric_limits<double>::infinity();
+  static constexpr std::array<std::array<double, 2>, 4> corner = {{{-1, -1}, {1, -1}, {1, 1}, {-1, 1}}};
+  for (int k = 0; k < 4; ++k) {
+    if (is_convex && !is_beyond[k]) continue;
+    const int next = (k + 1) % 4;
+    const Vec3 along = x[next] - x[k];
+    const double length = along.squaredNorm();
+    const double t = length > 0 ? std::clamp((center - x[k]).dot(along) / length, 0.0, 1.0) : 0.0;
+    const double f = (x[k] + t * along - center).squaredNorm();
+    if (f < best_f) {
+      best_f = f;
+      const auto on_edge = [&](int i) {
+        return corner[k][i] + t * (corner[next][i] - corner[k][i]);
+      };  // exact at bounds
+      best = {on_edge(0), on_edge(1)};
+    }
+  }
+  if (may_have_several) descend(m, best);
+  return finish(x, center, best);
+}
+
+// ---------------------------------------------------------------------------------------------------- the surface
+
+InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets,
+                                 double collar_height)
+    : position_(nodes), collar_height_(collar_height), real_facet_count_(facets.size()) {
+  const auto node_count = static_cast<std::int32_t>(nodes.size());
+  for (std::size_t f = 0; f < facets.size(); ++f) {
+    for (const std::int32_t node : facets[f])
+      if (node < 0 || node >= node_count)
+        throw InputError(fmt::format("interface facet {}: node {} of {}; indices count from 0", f, node, node_count));
+    const auto& n = facets[f];
+    const FacetCorners x = {nodes[n[0]], nodes[n[1]], nodes[n[2]], nodes[n[3]]};
+    if (!(facet_area_vector(x).norm() > 0))
+      throw InputError(fmt::format("interface facet {} (nodes {} {} {} {}) has no area", f, n[0], n[1], n[2], n[3]));
+    facets_.push_back({n, {}, static_cast<std::int32_t>(f)});
+  }
+  offset_.assign(nodes.size(), Vec3::Zero());
+  velocity_ = offset_velocity_ = offset_;
+  for (std::int32_t node = 0; node < node_count; ++node) real_node_.push_back(node);
+
+  using Edge = std::pair<std::int32_t, std::int32_t>;
+  const auto edge_of = [](const Facet& facet, int k) -> Edge {
+    return std::minmax(facet.nodes[k], facet.nodes[(k + 1) % 4]);
+  };
+  const auto count_edges = [&] {
+    std::map<Edge, int> count;
+    for (const Facet& facet : facets_)
+      for (int k = 0; k < 4; ++k) ++count[edge_of(facet, k)];
+    return count;
+  };
+
+  if (collar_height > 0 && !facets_.empty()) {
+    double low = nodes[0].z(), top = low;
+    for (const Facet& facet : facets_)
+      for (const std::int32_t node : facet.nodes) {
+        low = std::min(low, nodes[node].z());
+        top = std::max(top, nodes[node].z());
+      }
+    const double top_band = top - 1e-6 * (top - low);
+    const auto count = count_edges();
+    std::map<std::int32_t, std::int32_t> virtual_node;
+    const auto raised = [&](std::int32_t node) {
+      const auto [place, is_new] = virtual_node.try_emplace(node, static_cast<std::int32_t>(real_node_.size()));
+      if (is_new) real_node_.push_back(node);
+      return place->second;
+    };
+    for (std::size_t f = 0; f < real_facet_count_; ++f)
+      for (int k = 0; k < 4; ++k) {
+        const std::int32_t a = facets_[f].nodes[k], b = facets_[f].nodes[(k + 1) % 4];
+        if (count.at(edge_of(facets_[f], k)) > 1 || nodes[a].z() < top_band || nodes[b].z() < top_band) continue;
+        // A neighbour runs along the shared edge the other way, so that both normals point to the same side.
+        const std::int32_t above_a = raised(a), above_b = raised(b);
+        facets_.push_back({{b, a, above_a, above_b}, {}, static_cast<std::int32_t>(f)});
+      }
+  }
+
+  const auto count = count_edges();
+  is_open_node_.assign(real_node_.size(), 0);
+  for (Facet& facet : facets_)
+    for (int k = 0; k < 4; ++k) {
+      facet.is_open_edge[k] = count.at(edge_of(facet, k)) == 1;
+      if (facet.is_open_edge[k]) is_open_node_[facet.nodes[k]] = is_open_node_[facet.nodes[(k + 1) % 4]] = 1;
+    }
+
+  contact_position_.resize(real_node_.size());
+  nodal_force_.assign(nodes.size(), Vec3::Zero());
+  node_stiffness_.assign(nodes.size(), 0.0);
+  facet_force_.assign(real_facet_count_, Vec3::Zero());
+  facet_stiffness_.assign(real_facet_count_, 0.0);
+  boxes_.resize(facets_.size());
+  spheres_.resize(facets_.size());
+  place_nodes();
+  update_boxes();
+}
+
+// ---- motion
+
+void InterfaceFacets::advance(std::span<const Vec3> velocity, double dt) {
+  set_velocity(velocity);
+  double fastest = 0;
+  for (std::size_t i = 0; i < position_.size(); ++i) {
+    position_[i] += velocity[i] * dt;
+    fastest = std::max(fastest, velocity[i].squaredNorm());
+  }
+  travel_ += std::sqrt(fastest) * std::abs(dt);
+  place_nodes();
+}
+
+void InterfaceFacets::set_velocity(std::span<const Vec3> velocity) {
+  LOCKSTEP_ASSERT(velocity.size() == position_.size(), "{} velocities for {} nodes", velocity.size(), position_.size());
+  velocity_.assign(velocity.begin(), velocity.end());
+}
+
+void InterfaceFacets::move_offsets(std::span<const Vec3> velocity, double dt) {
+  LOCKSTEP_ASSERT(velocity.size() == position_.size(), "{} velocities for {} nodes", velocity.size(), position_.size());
+  offset_velocity_.assign(velocity.begin(), velocity.end());
+  double fastest = 0;
+  for (std::size_t i = 0; i < offset_.size(); ++i) {
+    offset_[i] += velocity[i] * dt;
+    fastest = std::max(fastest, velocity[i].squaredNorm());
+  }
+  travel_ += std::sqrt(fastest) * std::abs(dt);
+  place_nodes();
+}
+
+void InterfaceFacets::set_offsets(std::span<const Vec3> offsets) {
+  LOCKSTEP_ASSERT(offsets.size() == position_.size(), "{} offsets for {} nodes", offsets.size(), position_.size());
+  double farthest = 0;
+  for (std::size_t i = 0; i < offset_.size(); ++i) farthest = std::max(farthest, (offsets[i] - offset_[i]).norm());
+  offset_.assign(offsets.begin(), offsets.end());
+  std::fill(offset_velocity_.begin(), offset_velocity_.end(), Vec3::Zero());
+  travel_ += farthest;
+  place_nodes();
+}
+
+void InterfaceFacets::place_nodes() {
+  for (std::size_t i = 0; i < contact_position_.size(); ++i) {
+    contact_position_[i] = position_[real_node_[i]] + offset_[real_node_[i]];
+    if (i >= position_.size()) contact_position_[i].z() += collar_height_;
+  }
+}
+
+FacetCorners InterfaceFacets::corners(std::size_t facet) const {
+  const auto& n = facets_[facet].nodes;
+  return {contact_position_[n[0]], contact_position_[n[1]], contact_position_[n[2]], contact_position_[n[3]]};
+}
+
+std::uint64_t InterfaceFacets::position_hash() const {
+  Hash h;
+  h.add(std::span<const Vec3>(position_));
+  return h.value();
+}
+
+// ---- which facets a pebble may touch
+
+double InterfaceFacets::Box::distance(const Vec3& point) const {
+  const Vec3 d = point - center;
+  double squared = 0;
+  for (int k = 0; k < 3; ++k) {
+    const double outside = std::max(0.0, std::abs(d.dot(axis[k])) - half[k]);
+    squared += outside * outside;
+  }
+  return std::sqrt(squared);
+}
+
+void InterfaceFacets::update_boxes() {
+  for (std::size_t f = 0; f < facets_.size(); ++f) {
+    const FacetCorners x = corners(f);
+    Box& box = boxes_[f];
+    box.center = spheres_[f].center = interpolate(bilinear_weights(0, 0), x);
+    // The diagonals span the plane of the mean normal; a facet lies inside the hull of its corners.
+    box.axis[2] = facet_area_vector(x).normalized();
+    const Vec3 along = facet_tangent_xi(x, 0);
+    box.axis[0] = (along - along.dot(box.axis[2]) * box.axis[2]).normalized();
+    box.axis[1] = box.axis[2].cross(box.axis[0]);
+    box.half.setZero();
+    spheres_[f].radius = 0;
+    for (const Vec3& corner : x) {
+      const Vec3 d = corner - box.center;
+      for (int k = 0; k < 3; ++k) box.half[k] = std::max(box.half[k], std::abs(d.dot(box.axis[k])));
+      spheres_[f].radius = std::max(spheres_[f].radius, d.norm());
+    }
+  }
+  box_travel_ = travel_;
+
+  smallest_ = std::numeric_limits<double>::infinity();
+  for (const Sphere& sphere : spheres_) smallest_ = std::min(smallest_, sphere.radius);
+}
+
+void InterfaceFacets::list_facets(Neighborhood& near, const Vec3& center, double radius) {
+  const double drift = travel_ - box_travel_;
+  const double listed = (1 + skin) * radius + drift;
+  near.facets.clear();
+  double nearest_unlisted = std::numeric_limits<double>::infinity();
+  for (std::size_t f = 0; f < spheres_.size(); ++f) {
+    const double far = nearest_unlisted + spheres_[f].radius;
+    if ((center - spheres_[f].center).squaredNorm() >= far * far) continue;
+    const double distance = boxes_[f].distance(center);
+    if (distance < listed)
+      near.facets.push_back(static_cast<std::int32_t>(f));
+    else
+      nearest_unlisted = std::min(nearest_unlisted, distance);
+  }
+  near.center = center;
+  near.reach = nearest_unlisted - drift + travel_;
+}
+
+// ---- where a pebble touches
+
+bool InterfaceFacets::shares_feature(const Foot& foot, std::int32_t facet) const {
+  if (foot.at.feature == FacetFeature::Face) return false;
+  const auto& own = facets_[foot.facet].nodes;
+  const auto& other = facets_[facet].nodes;
+  const auto has = [&](std::int32_t node) { return std::find(other.begin(), other.end(), node) != other.end(); };
+  const std::int32_t k = foot.at.feature_index;
+  return has(own[k]) && (foot.at.feature == FacetFeature::Vertex || has(own[(k + 1) % 4]));
+}
+
+bool InterfaceFacets::is_open(const Foot& foot) const {
+  const Facet& facet = facets_[foot.facet];
+  return foot.at.feature == FacetFeature::Edge ? facet.is_open_edge[foot.at.feature_index]
+                                               : is_open_node_[facet.nodes[foot.at.feature_index]] != 0;
+}
+
+bool InterfaceFacets::are_adjacent(std::int32_t facet_a, std::int32_t facet_b) const {
+  for (const std::int32_t a : facets_[facet_a].nodes)
+    for (const std::int32_t b : facets_[facet_b].nodes)
+      if (a == b) return true;
+  return false;
+}
+
+void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius) const {
+  const Vec3 away = center - foot.at.point;
+  if (foot.at.feature == FacetFeature::Face) {
+    foot.normal = foot.at.facet_normal;
+    foot.distance = away.dot(foot.normal);
+    return;
+  }
+  // All facets that share the edge or node are among the feet: none of them is farther from the centre than it.
+  Vec3 side = Vec3::Zero();
+  for (const Foot& other : feet_) {
+    if (!shares_feature(foot, other.facet)) continue;
+    double angle = 1;
+    if (foot.at.feature == FacetFeature::Vertex) {
+      const auto& nodes = facets_[other.facet].nodes;
+      const std::int32_t node = facets_[foot.facet].nodes[foot.at.feature_index];
+      const auto k = static_cast<std::size_t>(std::find(nodes.begin(), nodes.end(), node) - nodes.begin());
+      const FacetCorners x = corners(other.facet);
+      const Vec3 to_next = x[(k + 1) % 4] - x[k], to_last = x[(k + 3) % 4] - x[k];
+      angle = std::atan2(to_next.cross(to_last).norm(), to_next.dot(to_last));
+    }
+    side += angle * other.at.facet_normal;
+  }
+  if (foot.at.distance < edge_contact_depth * radius) {
+    foot.normal = side.normalized();
+    foot.distance = away.dot(foot.normal);
+    return;
+  }
+  const bool is_inside = is_open(foot) || away.dot(side) >= 0;
+  foot.distance = is_inside ? foot.at.distance : -foot.at.distance;
+  foot.normal = away / foot.distance;
+}
+
+// Local minima of the distance to the surface, nearest first.
+void InterfaceFacets::find_feet(const Neighborhood& near, const Vec3& center, double radius) {
+  feet_.clear();
+  minima_.clear();
+  const double drift = travel_ - box_travel_;
+  for (const std::int32_t facet : near.facets) {
+    if (boxes_[facet].distance(center) > radius + drift) continue;
+    Foot foot;
+    foot.at = closest_point(corners(facet), center);
+    foot.facet = facet;
+    if (foot.at.distance < radius) feet_.push_back(foot);
+  }
+  std::sort(feet_.begin(), feet_.end(), [](const Foot& a, const Foot& b) {
+    return a.at.distance < b.at.distance || (a.at.distance == b.at.distance && a.facet < b.facet);
+  });
+  for (std::size_t i = 0; i < feet_.size(); ++i) {
+    bool is_minimum = true;
+    for (std::size_t j = 0; j < i && is_minimum; ++j) is_minimum = !shares_feature(feet_[i], feet_[j].facet);
+    if (!is_minimum) continue;
+    Foot foot = feet_[i];
+    set_side(foot, center, radius);
+    if (foot.distance < 0) {
+      // Behind the surface only the closest point tells the way back.
+      for (std::size_t j = 0; j < i && is_minimum; ++j) is_minimum = !are_adjacent(foot.facet, feet_[j].facet);
+      if (!is_minimum) continue;
+    }
+    minima_.push_back(foot);
+  }
+}
+
+// Makes one contact of the minimum `seed` and of those that lie with it in a smooth concave part of the surface.
+void InterfaceFacets::merge(std::size_t seed, double radius, FacetContact& contact) {
+  static const double cos_merge_angle = std::cos(merge_angle);
+  std::array<const Foot*, max_merged> foot{};
+  std::array<double, max_merged> overlap{};
+  std::size_t count = 0;
+  for (std::size_t i = seed; i < minima_.size() && count < max_merged; ++i) {
+    Foot& candidate = minima_[i];
+    if (candidate.is_taken) continue;
+    if (i != seed && (candidate.normal.dot(minima_[seed].normal) < cos_merge_angle ||
+                      !are_adjacent(candidate.facet, minima_[seed].facet)))
+      continue;
+    candidate.is_taken = true;
+    overlap[count] = radius - candidate.distance;
+    foot[count++] = &candidate;
+  }
+
+  // The shortest t with n_i . t >= U_i for all i is t = sum lambda_i n_i, lambda >= 0 where n_i . t = U_i, at most
+  // three of them. Any such combination that fits its own U_i is no longer than t (duality), so the longest is it.
+  struct Push {
+    std::array<std::size_t, 3> facet{};
+    std::array<double, 3> lambda{1, 0, 0};
+    std::size_t count = 1;
+    double length = 0;
+    Vec3 direction;
+  } best;
+  best.length = overlap[0];
+  best.direction = foot[0]->normal;
+  const auto try_push = [&](const Vec3& t, std::size_t size, const std::array<std::size_t, 3>& facet,
+                            const std::array<double, 3>& lambda) {
+    if (std::min({lambda[0], lambda[1], lambda[2]}) < 0) return;
+    const double length = t.norm();
+    if (length > best.length) best = {facet, lambda, size, length, t / length};
+  };
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::size_t j = i + 1; j < count; ++j) {
+      const Vec3 &n_i = foot[i]->normal, &n_j = foot[j]->normal;
+      const Vec3 cross = n_i.cross(n_j);
+      const double sine = cross.squaredNorm();
+      if (sine < least_turn) continue;
+      const double cosine = n_i.dot(n_j);
+      const double l_i = (overlap[i] - cosine * overlap[j]) / sine, l_j = (overlap[j] - cosine * overlap[i]) / sine;
+      try_push(l_i * n_i + l_j * n_j, 2, {i, j, 0}, {l_i, l_j, 0});
+      for (std::size_t k = j + 1; k < count; ++k) {
+        const Vec3& n_k = foot[k]->normal;
+        const double det = cross.dot(n_k);
+        if (det * det < least_turn) continue;
+        const Vec3 jk = n_j.cross(n_k), ki = n_k.cross(n_i);
+        const Vec3 t = (overlap[i] * jk + overlap[j] * ki + overlap[k] * cross) / det;
+        try_push(t, 3, {i, j, k}, {t.dot(jk) / det, t.dot(ki) / det, t.dot(cross) / det});
+      }
+    }
+
+  const double sum = best.lambda[0] + best.lambda[1] + best.lambda[2];
+  contact.overlap = best.length;
+  contact.history.normal = -best.direction;
+  contact.foot.setZero();
+  for (std::size_t s = 0; s < best.count; ++s) {
+    const double share = best.lambda[s] / sum;
+    const Foot& at = *foot[best.facet[s]];
+    contact.shares[s] = {at.facet, share, at.at.weights};
+    contact.foot += share * at.at.point;
+  }
+  contact.share_count = static_cast<std::int32_t>(best.count);
+}
+
+// The spring of the contact that this one was at the last step: of the same pebble, on a facet that is the same or
+// shares a node, with the most similar normal.
+ContactHistory InterfaceFacets::inherited(const FacetContact& contact, const Vec3& normal, std::size_t first,
+                                          std::size_t last) {
+  double most_similar = std::cos(merge_angle);
+  std::size_t heir_of = last;
+  for (std::size_t i = first; i < last; ++i) {
+    if (is_inherited_[i]) continue;
+    const double similarity = previous_[i].history.normal.dot(normal);
+    if (similarity <= most_similar) continue;
+    bool is_near = false;
+    for (std::int32_t s = 0; s < previous_[i].share_count && !is_near; ++s)
+      is_near = are_adjacent(contact.shares[0].facet, previous_[i].shares[static_cast<std::size_t>(s)].facet);
+    if (!is_near) continue;
+    most_similar = similarity;
+    heir_of = i;
+  }
+  if (heir_of == last) return {};
+  is_inherited_[heir_of] = 1;
+  return previous_[heir_of].history;
+}
+
+// Eq. (13): each node of each facet of the contact takes its share of the force on the facet and of the stiffness.
+void InterfaceFacets::load_nodes(const FacetContact& contact) {
+  for (std::int32_t s = 0; s < contact.share_count; ++s) {
+    const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
+    const Facet& facet = facets_[share.facet];
+    for (std::size_t j = 0; j < 4; ++j) {
+      const double weight = share.share * share.weights[j];
+      const std::int32_t node = real_node_[facet.nodes[j]];
+      nodal_force_[node] -= weight * contact.force;
+      node_stiffness_[node] += weight * contact.normal_stiffness;
+    }
+    facet_force_[facet.below] -= share.share * contact.force;
+    facet_stiffness_[facet.below] += share.share * contact.normal_stiffness;
+  }
+}
+
+FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& material, double dt) {
+  FacetTotals totals;
+  if (facets_.empty()) return totals;
+
+  if (travel_ - box_travel_ > box_drift * smallest_) update_boxes();
+  if (neighborhoods_.size() != particles.pebble_count()) neighborhoods_.assign(particles.pebble_count(), {});
+
+  std::fill(nodal_force_.begin(), nodal_force_.end(), Vec3::Zero());
+  std::fill(facet_force_.begin(), facet_force_.end(), Vec3::Zero());
+  std::fill(node_stiffness_.begin(), node_stiffness_.end(), 0.0);
+  std::fill(facet_stiffness_.begin(), facet_stiffness_.end(), 0.0);
+  tunnelled_ = 0;
+  std::swap(contacts_, previous_);
+  contacts_.clear();
+  is_inherited_.assign(previous_.size(), 0);
+
+  std::size_t first = 0;  // previous contacts of this pebble: [first, last)
+  for (std::size_t pebble = 0; pebble < neighborhoods_.size(); ++pebble) {
+    const Vec3& center = particles.pebble_center[pebble];
+    const double radius = particles.pebble_radius[pebble];
+    Neighborhood& near = neighborhoods_[pebble];
+    const double slack = near.reach - radius - travel_;
+    if (!(slack > 0 && (center - near.center).squaredNorm() < slack * slack)) list_facets(near, center, radius);
+    if (near.facets.empty()) continue;
+    find_feet(near, center, radius);
+    if (minima_.empty()) continue;
+
+    const auto id = static_cast<std::int32_t>(pebble);
+    while (first < previous_.size() && previous_[first].pebble < id) ++first;
+    std::size_t last = first;
+    while (last < previous_.size() && previous_[last].pebble == id) ++last;
+
+    const std::int32_t body = particles.pebble_body[pebble];
+    const double mass = particles.mass[body];
+    ContactMaterial law;
+    law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius[body]);
+    law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
+    law.friction = material.friction;
+    law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * mass);
+
+    bool is_tunnelled = false;
+    for (std::size_t seed = 0; seed < minima_.size(); ++seed) {
+      if (minima_[seed].is_taken) continue;
+      FacetContact contact;
+      merge(seed, radius, contact);
+      is_tunnelled |= minima_[seed].distance < -tunnel_depth * radius;
+      contact.pebble = id;
+      contact.body = body;
+      contact.normal_stiffness = law.normal_stiffness;
+      contact.shear_stiffness = law.shear_stiffness;
+      const Vec3 normal = contact.history.normal;  // from grain to facet
+      contact.history = inherited(contact, normal, first, last);
+      contact.point = center + (radius - 0.5 * contact.overlap) * normal;  // eq. 1
+
+      Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
+      for (std::int32_t s = 0; s < contact.share_count; ++s) {
+        const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
+        for (std::size_t j = 0; j < 4; ++j) {
+          const std::int32_t node = real_node_[facets_[share.facet].nodes[j]];
+          facet_velocity += share.share * share.weights[j] * (velocity_[node] + offset_velocity_[node]);
+        }
+      }
+      const Vec3 approach = facet_velocity - particles.velocity_at(body, contact.point);  // eq. 4
+      const ContactResult result = contact_force(law, normal, contact.overlap, approach, dt, contact.history);
+      contact.force = result.force_on_a;
+      particles.add_force(body, contact.point, contact.force);  // eq. 12
+      load_nodes(contact);                                      // eq. 13
+
+      ++totals.contacts;
+      totals.particle_force += contact.force;
+      totals.normal_force += result.normal_force;
+      const Vec3 shear = contact.force - contact.force.dot(normal) * normal;
+      totals.neglected_moment += 0.5 * contact.overlap * shear.norm();
+      totals.elastic_energy += contact_energy(law, contact.overlap, contact.history);
+      totals.slip_work += result.slip_work;
+      totals.dashpot_work += result.dashpot_power * dt;
+      totals.power += contact.force.dot(facet_velocity);
+      totals.max_overlap = std::max(totals.max_overlap, contact.overlap / radius);
+      contacts_.push_back(contact);
+    }
+    if (is_tunnelled) ++tunnelled_;
+  }
+  totals.tunnelled = tunnelled_;
+  return totals;
+}
+
+// ---- state
+
+void InterfaceFacets::hash(Hash& h) const {
+  h.add(std::span<const Vec3>(position_));
+  h.add(std::span<const Vec3>(offset_));
+  h.add(std::span<const Vec3>(velocity_));
+  h.add(std::span<const Vec3>(offset_velocity_));
+  for (const FacetContact& contact : contacts_) {
+    h.add(static_cast<std::uint64_t>(contact.pebble));
+    for (std::int32_t s = 0; s < contact.share_count; ++s)
+      h.add(static_cast<std::uint64_t>(contact.shares[static_cast<std::size_t>(s)].facet));
+    h.add(contact.history.spring);
+    h.add(contact.history.normal);
+  }
+}
+
+void InterfaceFacets::clear_history() {
+  contacts_.clear();
+  neighborhoods_.clear();
+}
+
+void InterfaceFacets::restore(const FacetState& state) {
+  const std::size_t nodes = position_.size();
+  if (state.positions.size() != nodes || state.offsets.size() != nodes || state.velocity.size() != nodes ||
+      state.offset_velocity.size() != nodes)
+    throw InputError(fmt::format("state of {} interface nodes for a surface of {}", state.positions.size(), nodes));
+  for (const FacetContact& contact : state.contacts)
+    for (std::int32_t s = 0; s < contact.share_count; ++s) {
+      const std::int32_t facet = contact.shares[static_cast<std::size_t>(s)].facet;
+      if (facet < 0 || static_cast<std::size_t>(facet) >= facets_.size())
+        throw InputError(fmt::format("state with a contact on facet {} of {}", facet, facets_.size()));
+    }
+  position_ = state.positions;
+  offset_ = state.offsets;
+  velocity_ = state.velocity;
+  offset_velocity_ = state.offset_velocity;
+  contacts_ = state.contacts;
+  neighborhoods_.clear();
+  place_nodes();
+  update_boxes();
+}
+
+}  // namespace lockstep::dem

@@ -1,0 +1,131 @@
+#include "dem_server/output.hpp"
+
+#include <spdlog/fmt/fmt.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace lockstep::dem {
+
+Output::Output(const Settings& settings, std::filesystem::path folder)
+    : folder_(std::move(folder)), interval_(settings.history_interval) {
+  if (folder_.empty()) return;
+  history_ = std::make_unique<History>(
+      folder_ / "dem_history.csv",
+      std::vector<std::string>{"step", "time [s]", "time step [s]", "S/D", "tip resistance [Pa]", "tip force [N]",
+                               "shaft force [N]", "interface force x [N]", "interface force y [N]", "interface force z [N]",
+                               "unbalanced ratio", "contacts", "interface contacts", "largest overlap [R]", "kinetic [J]",
+                               "elastic [J]", "gravity work [J]", "boundary work [J]", "interface work [J]", "damped [J]",
+                               "friction [J]", "dashpots [J]", "energy residual [J]", "vertical imbalance [N]",
+                               "neglected moment [N m]"});
+  if (settings.write_particles) particle_series_.emplace(folder_ / "particles.pvd");
+  if (settings.write_contacts) contact_series_.emplace(folder_ / "contacts.pvd");
+}
+
+void Output::record(const Model& m, double s_over_d, double ratio) {
+  if (m.pile) {
+    tip_sum_ += m.pile_totals.tip_force.z();
+    shaft_sum_ += m.pile_totals.shaft_force.z();
+  }
+  interface_sum_ += m.facet_totals.particle_force;
+  if (++samples_ < interval_) return;
+  const double n = samples_;
+  const double tip = tip_sum_ / n;
+  tip_resistance_ = m.pile ? tip / m.pile->tip_area() : 0.0;
+  shaft_force_ = shaft_sum_ / n;
+  if (history_) {
+    const GrainEnergies& e = m.ledger.energies();
+    const Vec3 interface = interface_sum_ / n;
+    history_->add({static_cast<double>(m.step), m.time, m.time_step, s_over_d, tip_resistance_, tip, shaft_force_,
+                   interface.x(), interface.y(), interface.z(), ratio, static_cast<double>(m.pair_totals.active),
+                   static_cast<double>(m.facet_totals.contacts),
+                   std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap), e.kinetic, e.elastic,
+                   e.gravity_work, e.boundary_work, e.interface_work, e.damped, e.friction, e.dashpots,
+                   m.ledger.residual(), m.ledger.vertical_imbalance(), m.facet_totals.neglected_moment});
+  }
+  samples_ = 0;
+  tip_sum_ = shaft_sum_ = 0;
+  interface_sum_.setZero();
+}
+
+namespace {
+
+Field scalars(const char* name, std::size_t count) { return {name, 1, std::vector<double>(count)}; }
+Field vectors(const char* name, std::size_t count) { return {name, 3, std::vector<double>(3 * count)}; }
+
+void put(Field& field, std::size_t i, const Vec3& v) {
+  for (int k = 0; k < 3; ++k) field.values[3 * i + k] = v[k];
+}
+
+void write_particles(const std::filesystem::path& path, const Particles& p) {
+  const std::size_t n = p.pebble_count();
+  Field radius = scalars("radius", n), body = scalars("clump", n), size = scalars("equivalent radius", n);
+  Field velocity = vectors("velocity", n), spin = vectors("spin", n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const auto b = p.pebble_body[i];
+    radius.values[i] = p.pebble_radius[i];
+    body.values[i] = b;
+    size.values[i] = p.equivalent_radius[b];
+    put(velocity, i, p.velocity[b]);
+    put(spin, i, p.spin[b]);
+  }
+  write_vtp_points(path, p.pebble_center, {radius, body, size, velocity, spin});
+}
+
+void write_contacts(const std::filesystem::path& path, const Model& m) {
+  // A line from body to body, or from body to contact point at walls; "family": 0 grain, 1 interface, 2 plane, 3 pile.
+  Vec3s begin, end;
+  Field normal_force{"normal force", 1, {}}, shear_force{"shear force", 1, {}}, family{"family", 1, {}};
+  const auto add = [&](double kind) {
+    return [&, kind](const ContactView& c) {
+      begin.push_back(m.particles.position[c.body_a]);
+      end.push_back(c.body_b >= 0 ? m.particles.position[c.body_b] : c.point);
+      const double normal = -c.force_on_a.dot(c.normal);
+      normal_force.values.push_back(normal);
+      shear_force.values.push_back((c.force_on_a + normal * c.normal).norm());
+      family.values.push_back(kind);
+    };
+  };
+  m.contacts.for_each_contact(add(0));
+  m.facets.for_each_contact(add(1));
+  m.planes.for_each_contact(add(2));
+  if (m.pile) m.pile->for_each_contact(add(3));
+  write_vtp_lines(path, begin, end, {normal_force, shear_force, family});
+}
+
+}  // namespace
+
+void Output::snapshot(const Model& m, const Settings& settings) {
+  if (folder_.empty() || last_snapshot_step_ == m.step) return;
+  last_snapshot_step_ = m.step;
+  if (settings.write_particles) {
+    const std::string name = fmt::format("particles_{:04d}.vtp", snapshots_);
+    write_particles(folder_ / name, m.particles);
+    particle_series_->add(m.time, name);
+  }
+  if (settings.write_contacts) {
+    const std::string name = fmt::format("contacts_{:04d}.vtp", snapshots_);
+    write_contacts(folder_ / name, m);
+    contact_series_->add(m.time, name);
+  }
+  ++snapshots_;
+}
+
+void Output::summary(const Json& summary) {
+  if (!folder_.empty()) write_file(folder_ / "dem_summary.json", summary.text() + "\n");
+}
+
+double unbalanced_ratio(const Model& m) {
+  const double bodies = static_cast<double>(m.particles.body_count());
+  if (bodies == 0) return 0;
+  double contacts = static_cast<double>(static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts + m.plane_totals.contacts);
+  double force = m.pair_totals.normal_force + m.facet_totals.normal_force + m.plane_totals.normal_force;
+  if (m.pile) {
+    contacts += static_cast<double>(m.pile_totals.tip.contacts + m.pile_totals.shaft.contacts);
+    force += m.pile_totals.tip.normal_force + m.pile_totals.shaft.normal_force;
+  }
+  if (!(force > 0)) return 1;
+  return (m.motion.unbalanced_force / bodies) / (force / contacts);
+}
+
+}  // namespace lockstep::dem

@@ -1,0 +1,47 @@
+// What dem_server leaves in the run's folder:
+//   dem_history.csv                        one row every output.history_interval steps, forces averaged over them
+//   particles_NNNN.vtp, contacts_NNNN.vtp  snapshots, with particles.pvd and contacts.pvd over time
+//   dem_summary.json                       stages, guarantees, shares of time
+#pragma once
+#include <filesystem>
+#include <memory>
+#include <optional>
+
+#include "common/results.hpp"
+#include "dem_server/cycle.hpp"
+#include "dem_server/settings.hpp"
+
+namespace lockstep::dem {
+
+class Output {
+ public:
+  // Nothing is written when `folder` is empty.
+  Output(const Settings& settings, std::filesystem::path folder);
+
+  // Takes part in the averages; writes a row when one is due. `s_over_d` is 0 without a pile.
+  void record(const Model& model, double s_over_d, double unbalanced_ratio);
+  // Particles and contacts, at most once per step.
+  void snapshot(const Model& model, const Settings& settings);
+  void summary(const Json& summary);
+
+  // Mean over the last row's steps [Pa], [N].
+  double tip_resistance() const { return tip_resistance_; }
+  double shaft_force() const { return shaft_force_; }
+
+ private:
+  std::filesystem::path folder_;
+  std::uint32_t interval_;
+  std::unique_ptr<History> history_;
+  std::optional<Series> particle_series_, contact_series_;
+  int snapshots_ = 0;
+  std::optional<std::uint64_t> last_snapshot_step_;
+  std::uint32_t samples_ = 0;
+  double tip_sum_ = 0, shaft_sum_ = 0;
+  Vec3 interface_sum_ = Vec3::Zero();
+  double tip_resistance_ = 0, shaft_force_ = 0;
+};
+
+// Mean unbalanced force of the bodies over the mean contact force, of the last cycle; 0 without bodies, 1 without contacts.
+double unbalanced_ratio(const Model& model);
+
+}  // namespace lockstep::dem

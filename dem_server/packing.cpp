@@ -1,0 +1,183 @@
+#include "dem_server/packing.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "common/checks.hpp"
+#include "dem_server/clumps.hpp"
+#include "dem_server/constants.hpp"
+#include "dem_server/generation.hpp"
+
+namespace lockstep::dem {
+
+namespace {
+
+double pile_volume(const Settings& s) {
+  if (!s.pile) return 0;
+  const double radius = s.pile->shape.radius;
+  return pi * radius * radius * s.pile->embedment;
+}
+
+// True when the body's centre stays clip_distance radii away from sides, bottom and pile, no pebble's centre lies beyond
+// them, and the centre is below the fill level. What sticks out by less is pushed back when the packing is relaxed.
+bool is_inside(const Particles& p, std::int32_t body, const Container& container, const std::optional<Pile>& pile) {
+  const auto room = [&](const Vec3& x) {
+    const double depth = container.depth_inside(x);
+    return pile ? std::min(depth, pile->closest(x).distance) : depth;
+  };
+  if (p.position[body].z() > container.top) return false;
+  if (room(p.position[body]) < clip_distance * p.equivalent_radius[body]) return false;
+  for (auto i = p.pebble_begin[body]; i < p.pebble_begin[body + 1]; ++i)
+    if (room(p.pebble_center[i]) < 0) return false;
+  return true;
+}
+
+// The same packing with every length times `factor`. Contact stiffness goes with the radius, so pressure and porosity stay.
+Cube magnified(const Cube& cube, double factor) {
+  Cube m = cube;
+  m.period *= factor;
+  for (Vec3& x : m.particles.position) x *= factor;
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b) m.particles.scale(static_cast<std::int32_t>(b), factor);
+  m.particles.place_pebbles();
+  return m;
+}
+
+// The cube, magnified by `factor` and cut to the container.
+Particles cut(const Cube& cube, double factor, const Settings& s, const Container& container) {
+  const double reach_x = container.kind == Container::Kind::Cylinder ? container.radius : container.half_x;
+  const double reach_y = container.kind == Container::Kind::Cylinder ? container.radius : container.half_y;
+  Particles p = tile(magnified(cube, factor), {-reach_x, -reach_y, container.bottom}, {reach_x, reach_y, container.top});
+  std::optional<Pile> pile;
+  if (s.pile) pile.emplace(s.pile->shape, container.top - s.pile->embedment);
+  std::vector<char> keep(p.body_count());
+  for (std::size_t b = 0; b < keep.size(); ++b) keep[b] = is_inside(p, static_cast<std::int32_t>(b), container, pile);
+  p.keep_only(keep);
+  return p;
+}
+
+// The magnification at which the cut keeps `count` grains. The count falls as factor^-3 with a scatter of whole grains, so
+// Newton's iteration on that law closes in within a few cuts; the nearest is kept.
+Particles cut_to_count(const Cube& cube, std::uint32_t count, const Settings& s, const Container& container,
+                       const Heartbeat& heartbeat) {
+  double factor = 1;
+  Particles best;
+  double best_error = 1e300;
+  for (int trial = 0; trial < count_trials; ++trial) {
+    heartbeat("cutting the packing to its count", static_cast<double>(trial) / count_trials);
+    Particles p = cut(cube, factor, s, container);
+    const double kept = std::max<double>(1, static_cast<double>(p.body_count()));
+    const double error = std::abs(kept - count);
+    if (error < best_error) {
+      best_error = error;
+      best = std::move(p);
+    }
+    if (best_error <= count_tolerance * count) break;
+    factor *= std::cbrt(kept / count);
+  }
+  if (best_error > 0.01 * count)
+    throw InputError(fmt::format(
+        "grains.packing.count = {}: the container holds {} or so, not within 1 % of it; a container only a few grains wide "
+        "cannot meet every count: give {} or set count: 0 and a radius",
+        count, best.body_count(), best.body_count()));
+  return best;
+}
+
+Assembly assemble_packing(const Settings& s, double ground_density, const Heartbeat& heartbeat) {
+  const PackingSettings& packing = *s.packing;
+  const Container& container = packing.container;
+  const double room = container.volume() - pile_volume(s);
+  Assembly a;
+
+  // First guess of the radius for a count; cut_to_count mends it.
+  const double radius = packing.count ? std::cbrt(room * (1 - packing.porosity) / (packing.count * 4.0 / 3.0 * pi))
+                                      : packing.radius;
+  CubeRequest request;
+  request.grains = static_cast<int>(packing.cube_grains);
+  request.radius_mean = radius;
+  request.radius_ratio = packing.radius_ratio;
+  request.pebbles = s.pebbles;
+  request.elongation = s.elongation;
+  request.porosity = packing.porosity;
+  request.pressure = packing.cube_pressure;
+  request.density = s.density;
+  request.material = s.material;
+  request.seed = s.seed;
+  request.progress = heartbeat;
+  const Cube cube = make_cube(request);
+  a.bulk_porosity = cube.porosity;
+  a.preparation_friction = cube.preparation_friction;
+
+  a.particles = packing.count ? cut_to_count(cube, packing.count, s, container, heartbeat) : cut(cube, 1, s, container);
+  if (a.particles.body_count() == 0)
+    throw InputError(fmt::format("grains.packing: no grain of mean radius {:.4g} m fits into the container; give a smaller "
+                                 "radius, or a larger container",
+                                 radius));
+
+  double solid = 0;
+  for (const double r : a.particles.equivalent_radius) solid += 4.0 / 3.0 * pi * r * r * r;
+  a.overall_porosity = 1 - solid / room;
+  a.solid_density = packing.match_continuum_density && ground_density > 0 ? ground_density * room / solid : s.density;
+  for (std::size_t b = 0; b < a.particles.body_count(); ++b) {
+    a.particles.mass[b] *= a.solid_density / s.density;
+    a.particles.inertia[b] *= a.solid_density / s.density;
+  }
+  return a;
+}
+
+// Equal spheres on a cubic lattice. A pulse v(z) that travels down a chain of wave speed c carries the displacement
+// u(z) = (1/c) int_{-inf}^z v dz' with it (u = f(z + c t) and u_t = v give f' = v/c; the chain below is still at rest).
+void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
+  const ClumpTemplate sphere = make_clump(1, 1);
+  const double pitch = 2 * l.radius - l.overlap;
+  const double floor_overlap = l.overlap / s.facet_stiffness_factor;  // the same force in facet and pair
+  const double mass = s.density * 4.0 / 3.0 * pi * std::pow(l.radius, 3);
+  const double speed = pitch * std::sqrt(s.material.contact_modulus * 2 * l.radius / mass);
+  const auto hump = [&](double z) {  // integral of (1 + cos(2 pi t))/2 over z', from the lower end of the hump to z
+    const double t = std::clamp((z - l.pulse_center) / l.pulse_length, -0.5, 0.5);
+    return l.pulse_length * 0.5 * (t + 0.5 + std::sin(2 * pi * t) / (2 * pi));
+  };
+  for (std::uint32_t k = 0; k < l.count_z; ++k)
+    for (std::uint32_t j = 0; j < l.count_y; ++j)
+      for (std::uint32_t i = 0; i < l.count_x; ++i) {
+        const double x = (i - 0.5 * (l.count_x - 1)) * 2 * l.radius;
+        const double y = (j - 0.5 * (l.count_y - 1)) * 2 * l.radius;
+        const double z = l.bottom + l.radius - floor_overlap + k * pitch;
+        const double t = (z - l.pulse_center) / l.pulse_length;
+        const double velocity = std::abs(t) < 0.5 ? l.pulse_velocity * 0.5 * (1 + std::cos(2 * pi * t)) : 0.0;
+        const double displacement = l.pulse_velocity / speed * hump(z);
+        const auto body = a.particles.add(sphere, l.radius, s.density, {x, y, z + displacement}, Quat::Identity());
+        a.particles.velocity[body] = {0, 0, velocity};
+        if (l.fix_top) {
+          a.is_fixed.resize(a.particles.body_count(), 0);
+          a.is_fixed[body] = k + 1 == l.count_z;
+        }
+      }
+}
+
+}  // namespace
+
+Assembly assemble(const Settings& s, double ground_density, const Heartbeat& heartbeat) {
+  Assembly a;
+  if (s.packing) a = assemble_packing(s, ground_density, heartbeat);
+  if (s.lattice) add_lattice(*s.lattice, s, a);
+  const double density = a.solid_density > 0 ? a.solid_density : s.density;
+  for (const GrainSettings& g : s.grains) {
+    const ClumpTemplate shape = g.is_clump ? make_clump(s.pebbles, s.elongation) : make_clump(1, 1);
+    const auto body = a.particles.add(shape, g.radius, density, g.center, Quat::Identity());
+    a.particles.velocity[body] = g.velocity;
+    a.particles.spin[body] = g.spin;
+  }
+  a.solid_density = density;
+  if (!a.is_fixed.empty()) a.is_fixed.resize(a.particles.body_count(), 0);
+  a.particles.place_pebbles();
+  a.particles.clear_forces();
+  const auto& r = a.particles.equivalent_radius;
+  if (!r.empty()) {
+    a.mean_radius = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
+    a.smallest_radius = *std::min_element(r.begin(), r.end());
+  }
+  return a;
+}
+
+}  // namespace lockstep::dem

@@ -1,0 +1,156 @@
+#include "dem_server/settings.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/checks.hpp"
+
+namespace lockstep::dem {
+
+double Container::volume() const {
+  const double area = kind == Kind::Cylinder ? pi * radius * radius : 4 * half_x * half_y;
+  return area * (top - bottom);
+}
+
+double Container::depth_inside(const Vec3& p) const {
+  const double side = kind == Kind::Cylinder ? radius - std::hypot(p.x(), p.y())
+                                             : std::min(half_x - std::abs(p.x()), half_y - std::abs(p.y()));
+  return std::min(side, p.z() - bottom);
+}
+
+namespace {
+
+Vec3 to_vector(const scene::Point& p) { return {p.x(), p.y(), p.z()}; }
+
+constexpr double degrees = pi / 180;
+
+Container container_of(const SceneFile& file) {
+  const scene::Scene& scene = file.scene;
+  const scene::Packing& packing = scene.grains().packing();
+  Container c;
+  if (scene.continuum().has_cylinder_in_brick()) {
+    const auto& mesh = scene.continuum().cylinder_in_brick();
+    // The hole is a polygon: its flats stand nearer to the axis than its corners.
+    const double around = std::max(8.0, 8 * std::round(mesh.zones_around() * scene.fidelity().mesh_refinement() / 8));
+    c.kind = Container::Kind::Cylinder;
+    c.radius = 0.5 * mesh.hole_diameter() * std::cos(pi / around);
+    c.bottom = -mesh.hole_depth();
+    c.top = 0;
+  } else if (packing.has_box()) {
+    c.kind = Container::Kind::Box;
+    c.half_x = 0.5 * packing.box().width_x();
+    c.half_y = 0.5 * packing.box().width_y();
+    c.bottom = packing.box().bottom();
+    c.top = c.bottom + packing.box().fill_height();
+  } else {
+    throw InputError(fmt::format(
+        "{}: grains.packing has no container; give continuum.cylinder_in_brick, or grains.packing.box with its widths, "
+        "bottom and fill_height",
+        file.where("grains.packing")));
+  }
+  return c;
+}
+
+PackingSettings packing_of(const SceneFile& file) {
+  const scene::Packing& from = file.scene.grains().packing();
+  PackingSettings to;
+  const double scale = file.scene.fidelity().particle_scale();
+  to.count = static_cast<std::uint32_t>(std::lround(from.count() / (scale * scale * scale)));
+  to.radius = from.radius() * scale;
+  to.radius_ratio = from.radius_ratio();
+  to.porosity = from.porosity();
+  to.match_continuum_density = from.bulk_density() == scene::Packing::MATCH_CONTINUUM;
+  to.cube_grains = from.cube_grains();
+  to.cube_pressure = from.cube_pressure();
+  to.container = container_of(file);
+  return to;
+}
+
+PileSettings pile_of(const SceneFile& file) {
+  const scene::Pile& from = file.scene.pile();
+  PileSettings to;
+  to.shape.radius = 0.5 * from.diameter();
+  to.shape.tip = from.tip() == scene::Pile::CONE ? PileTip::Cone : PileTip::Flat;
+  to.shape.cone_angle = from.cone_angle() * degrees;
+  to.embedment = from.embedment();
+  to.friction = from.friction();
+  to.penetration = from.penetration() * from.diameter();
+  to.velocity = file.scene.fidelity().pile_velocity();
+  to.speed_ramp = from.speed_ramp();
+  return to;
+}
+
+LatticeSettings lattice_of(const scene::Lattice& from) {
+  return {from.count_x(), from.count_y(), from.count_z(),       from.radius(),       from.overlap(),
+          from.bottom(),  from.fix_top(), from.pulse_velocity(), from.pulse_length(), from.pulse_center()};
+}
+
+}  // namespace
+
+Settings make_settings(const SceneFile& file) {
+  const scene::Scene& scene = file.scene;
+  if (!scene.has_grains())
+    throw InputError(fmt::format("{}: the scene has no `grains` block, so dem_server has nothing to model; add one",
+                                 file.path.string()));
+  const scene::Grains& grains = scene.grains();
+  Settings s;
+  s.title = scene.title();
+  s.gravity = scene.gravity();
+  s.seed = scene.seed();
+
+  s.material.contact_modulus = grains.contact_modulus();
+  s.material.stiffness_ratio = grains.stiffness_ratio();
+  s.material.friction = grains.friction();
+  s.material.damping_ratio = damping_ratio(grains.restitution());
+  s.density = grains.density();
+  s.interface_friction = grains.interface_friction();
+  s.wall_friction = grains.wall_friction();
+  s.facet_stiffness_factor = grains.facet_stiffness_factor();
+  s.elongation = grains.elongation();
+  const auto pebbles = scene.fidelity().pebbles_per_clump();
+  const char* pebbles_key = pebbles ? "fidelity.pebbles_per_clump" : "grains.pebbles";
+  s.pebbles = static_cast<int>(pebbles ? pebbles : grains.pebbles());
+  if (s.pebbles != 1 && s.pebbles != 2 && s.pebbles != 3 && s.pebbles != 5 && s.pebbles != 9)
+    throw InputError(fmt::format("{} = {}: a clump has 1, 2, 3, 5 or 9 pebbles; choose one of these",
+                                 file.where(pebbles_key), s.pebbles));
+
+  if (grains.has_packing()) s.packing = packing_of(file);
+  if (grains.has_lattice()) s.lattice = lattice_of(grains.lattice());
+  for (const scene::Grain& g : grains.grain())
+    s.grains.push_back({to_vector(g.center()), to_vector(g.velocity()), to_vector(g.spin()), g.radius(), g.is_clump()});
+  if (scene.has_pile()) s.pile = pile_of(file);
+  for (const scene::Plane& p : scene.plane()) {
+    const Vec3 normal = to_vector(p.normal());
+    if (normal.norm() == 0)
+      throw InputError(fmt::format("{}: plane.normal = 0 0 0 has no direction; give the side where the grains are",
+                                   file.where("plane.normal")));
+    s.planes.push_back({to_vector(p.point()), normal.normalized(), Vec3::Zero()});
+  }
+  if (s.packing && s.packing->container.kind == Container::Kind::Box) {
+    const Container& box = s.packing->container;
+    s.planes.push_back({{-box.half_x, 0, 0}, Vec3::UnitX(), Vec3::Zero()});
+    s.planes.push_back({{box.half_x, 0, 0}, -Vec3::UnitX(), Vec3::Zero()});
+    s.planes.push_back({{0, -box.half_y, 0}, Vec3::UnitY(), Vec3::Zero()});
+    s.planes.push_back({{0, box.half_y, 0}, -Vec3::UnitY(), Vec3::Zero()});
+  }
+
+  const scene::Balance& balance = scene.balance();
+  s.balance = {balance.servo() == scene::Balance::RINGS, balance.damping(),           balance.tolerance(),
+               balance.servo_tolerance(),                balance.traction_tolerance(), balance.max_servo_travel(),
+               balance.max_cycles()};
+  s.has_apply = scene.apply().max_steps() > 0;
+  s.apply_damping = scene.apply().damping();
+  s.run_damping = scene.run().damping();
+  s.step_damping = std::max(s.run_damping, s.has_apply ? s.apply_damping : 0.0);
+
+  s.step_fraction = scene.fidelity().step_fraction();
+  s.hash_interval = scene.coupling().hash_interval();
+  s.history_interval = scene.output().history_interval();
+  s.snapshot_interval = scene.output().snapshot_interval();
+  s.peer_timeout = scene.coupling().peer_timeout();
+  s.write_particles = scene.output().particles();
+  s.write_contacts = scene.output().contacts();
+  return s;
+}
+
+}  // namespace lockstep::dem

@@ -1,0 +1,116 @@
+// What dem_server needs to know of a scene, as plain structs. Meaning, unit, default and range of each value stand beside its
+// key in common/scene.proto; settings.cpp fills these from there. What several keys decide together is settled here: pebbles
+// and radii after `fidelity`, the container from hole or box, the larger of the dampings for the time step.
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/scene.hpp"
+#include "common/vectors.hpp"
+#include "dem_server/contact_law.hpp"
+#include "dem_server/walls.hpp"
+
+namespace lockstep::dem {
+
+// Where the packing stands: a vertical cylinder around x = y = 0, or a box with four smooth walls. Open at the top; the
+// bottom is the interface.
+struct Container {
+  enum class Kind { Cylinder, Box } kind = Kind::Cylinder;
+  double radius = 0;    // cylinder [m]
+  double half_x = 0;    // box [m]
+  double half_y = 0;    // box [m]
+  double bottom = 0;    // [m]
+  double top = 0;       // fill level [m]
+  double volume() const;  // [m3]
+  // Distance of a point inside to the nearest side or bottom; negative outside. The top does not count. [m]
+  double depth_inside(const Vec3& point) const;
+};
+
+struct PackingSettings {
+  std::uint32_t count = 0;  // 0: radius decides
+  double radius = 0;        // mean equivalent radius [m]
+  double radius_ratio = 1;  // largest over smallest
+  double porosity = 0;      // bulk
+  bool match_continuum_density = true;
+  std::uint32_t cube_grains = 0;
+  double cube_pressure = 0;  // [Pa]
+  Container container;
+};
+
+struct LatticeSettings {
+  std::uint32_t count_x = 1, count_y = 1, count_z = 1;
+  double radius = 0;          // [m]
+  double overlap = 0;         // [m]
+  double bottom = 0;          // [m]
+  bool fix_top = false;
+  double pulse_velocity = 0;  // [m/s]
+  double pulse_length = 0;    // [m]
+  double pulse_center = 0;    // [m]
+};
+
+struct GrainSettings {
+  Vec3 center, velocity, spin;  // [m], [m/s], [rad/s]
+  double radius = 0;            // equivalent [m]
+  bool is_clump = false;
+};
+
+struct PileSettings {
+  PileShape shape;
+  double embedment = 0;    // L [m]
+  double friction = 0;     // from Apply on
+  double penetration = 0;  // S at the end [m]
+  double velocity = 0;     // [m/s]
+  double speed_ramp = 0;   // [s]
+};
+
+struct BalanceSettings {
+  bool servo = true;
+  double damping = 0;
+  double tolerance = 0;
+  double servo_tolerance = 0;     // [m/s]
+  double traction_tolerance = 0;  // relative
+  double max_servo_travel = 0;    // [mean R]
+  std::uint32_t max_cycles = 0;
+};
+
+struct Settings {
+  std::string title;
+  double gravity = 0;  // downwards [m/s2]
+  std::uint64_t seed = 1;
+
+  GrainMaterial material;
+  double density = 0;  // of the solid [kg/m3]
+  double interface_friction = 0;
+  double wall_friction = 0;
+  double facet_stiffness_factor = 1;
+  int pebbles = 1;
+  double elongation = 1;
+
+  std::optional<PackingSettings> packing;
+  std::optional<LatticeSettings> lattice;
+  std::vector<GrainSettings> grains;
+  std::optional<PileSettings> pile;
+  std::vector<PlaneSettings> planes;
+
+  BalanceSettings balance;
+  double apply_damping = 0;
+  bool has_apply = true;
+  double run_damping = 0;
+  double step_damping = 0;  // the largest that the coupled run will see: the time step is held for it
+
+  double step_fraction = 0.9;            // of the stable step
+  double peer_timeout = 60;              // [s]
+  std::uint32_t hash_interval = 100;     // steps
+  std::uint32_t history_interval = 20;   // steps
+  double snapshot_interval = 0;          // S/D, or seconds without a pile
+  bool write_particles = true;
+  bool write_contacts = true;
+};
+
+// Throws InputError for what the ranges of single keys cannot catch.
+Settings make_settings(const SceneFile& scene);
+
+}  // namespace lockstep::dem

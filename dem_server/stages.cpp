@@ -1,0 +1,608 @@
+#include "dem_server/stages.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <optional>
+
+#include "common/checks.hpp"
+#include "common/interrupt.hpp"
+#include "common/log.hpp"
+#include "dem_server/constants.hpp"
+#include "dem_server/cycle.hpp"
+#include "dem_server/output.hpp"
+#include "dem_server/packing.hpp"
+#include "dem_server/servo.hpp"
+#include "dem_server/settings.hpp"
+#include "protocol/session.hpp"
+
+namespace lockstep::dem {
+
+namespace {
+
+using protocol::Session;
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
+
+// Facets that neither the peer nor a servo moves: relaxing the packing after the cut.
+class Held : public Boundary {
+ public:
+  double time_step = 0;  // [s]
+  bool move_facets(Model& m) override {
+    m.time_step = time_step;
+    return true;
+  }
+  void take_forces(Model&) override {}
+};
+
+// The run of one session. Each stage is a member function, in order.
+class GrainsRun {
+ public:
+  GrainsRun(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options)
+      : scene_(scene), settings_(make_settings(scene)), output_(settings_, options.results), session_([&] {
+          protocol::SessionSettings s;
+          s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings_.peer_timeout));
+          s.record_path = options.record_path;
+          return Session(std::move(channel), protocol::Role::Grains, s);
+        }()) {}
+
+  RunReport run() {
+    try {
+      shake_hands();
+      receive_initial_stress();
+      balance();
+      excavate();
+      exchange();
+      return finish();
+    } catch (const PeerError&) {
+      keep_last_state();
+      throw;  // the session has said what was to be said
+    } catch (const Error& error) {
+      session_.abort(static_cast<int>(error.code()), error.what());
+      keep_last_state();
+      throw;
+    } catch (const std::exception& error) {
+      session_.abort(static_cast<int>(ExitCode::Internal), error.what());
+      throw;
+    }
+  }
+
+ private:
+  class Peer;
+
+  void shake_hands();
+  void receive_initial_stress();
+  void balance();
+  void relax(Servo& servo);
+  void settle(Servo& servo);
+  void excavate();
+  void exchange();
+  RunReport finish();
+
+  void begin_apply();
+  void begin_penetration();
+  bool is_over() const;
+  double penetration() const { return settings_.pile ? pile_start_ - model_->pile->tip_z() : 0.0; }
+  double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
+  double target_vertical_pressure(double z) const;
+  void set_friction(double grain, double walls_and_pile_factor);
+  void watch();
+  void show_progress(double unbalanced);
+  void keep_last_state() noexcept;
+  void stage_done(const std::string& name, Clock::time_point begin, Json entry);
+  Json summary();
+
+  SceneFile scene_;
+  Settings settings_;
+  Output output_;
+  Session session_;
+
+  protocol::InitialStress initial_;
+  Assembly assembly_;
+  std::unique_ptr<Model> model_;
+  StepLimit limit_;
+
+  protocol::Stage stage_ = protocol::Stage::Hello;
+  double pile_start_ = 0;            // tip_z at S = 0 [m]
+  double penetration_begin_ = 0;     // time at S = 0 [s]
+  double next_snapshot_ = 0;         // S/D or seconds
+  std::vector<double> told_stiffness_;  // per node, as the peer knows it [N/m]
+  Clock::time_point last_progress_{};
+  Clock::time_point begin_ = Clock::now();
+  Clock::time_point stage_begin_ = Clock::now();
+  double last_wait_ = 0;
+  Json stages_;
+  std::string end_;
+};
+
+// ------------------------------------------------------------------------------------------------ Hello, steps 1 and 2
+
+void GrainsRun::shake_hands() {
+  protocol::Hello mine;
+  mine.role = protocol::Role::Grains;
+  mine.solver = "dem_server";
+  mine.solver_version = lockstep_version();
+  mine.capabilities = {"progress"};
+  mine.scene_digest = scene_.digest;
+  const protocol::Hello peer = session_.shake_hands(mine);
+  spdlog::info("stage Hello: peer {} {} at {}, scene {}", peer.solver, peer.solver_version, session_.peer(),
+               peer.scene_digest.empty() ? "of its own" : peer.scene_digest);
+}
+
+void GrainsRun::receive_initial_stress() {
+  stage_ = protocol::Stage::InitialStress;
+  const auto begin = Clock::now();
+  session_.on_progress = [](const protocol::Progress& p) { spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction); };
+  initial_ = session_.receive<protocol::InitialStress>();
+  spdlog::info("stage InitialStress (paper step 1): {} nodes, {} facets, unbalanced ratio {:.1e}, after {:.1f} s",
+               initial_.nodes.size(), initial_.facets.size(), initial_.unbalanced_ratio, seconds_since(begin));
+  if (settings_.pile && initial_.profile.empty())
+    throw PeerError("InitialStress.profile is empty, but the scene has a pile whose tip must carry the stress of its depth; "
+                    "the peer must send the profile inside the discrete domain");
+  stage_done("InitialStress", begin, Json().add("nodes", static_cast<int>(initial_.nodes.size())));
+}
+
+// Vertical pressure that the ground carried at z, interpolated in the profile [Pa].
+double GrainsRun::target_vertical_pressure(double z) const {
+  const auto& p = initial_.profile;
+  if (p.empty()) return 0;
+  if (z <= p.front().z) return -p.front().vertical;
+  for (std::size_t k = 1; k < p.size(); ++k)
+    if (z <= p[k].z) {
+      const double t = (z - p[k - 1].z) / (p[k].z - p[k - 1].z);
+      return -(p[k - 1].vertical + t * (p[k].vertical - p[k - 1].vertical));
+    }
+  return -p.back().vertical;
+}
+
+// Friction between grains, and that of interface, planes and pile as a share of the scene's.
+void GrainsRun::set_friction(double grain, double share) {
+  model_->material.friction = grain;
+  model_->facet_material.friction = share * settings_.interface_friction;
+  model_->planes.set_friction(share * settings_.wall_friction);
+  if (model_->pile) model_->pile->set_friction(share * settings_.pile->friction);
+}
+
+void GrainsRun::balance() {
+  stage_ = protocol::Stage::Balance;
+  const auto begin = Clock::now();
+  assembly_ = assemble(settings_, initial_.bulk_density, [this](std::string_view text, double fraction) {
+    session_.heartbeat(text, 0.2 * fraction);
+    print_progress(fmt::format("side=grains stage=Balance fraction={:.3f} text={}", 0.2 * fraction, "packing"));
+  });
+  const double radius = assembly_.mean_radius > 0 ? assembly_.mean_radius : 1.0;
+  const double collar = settings_.pile ? 2 * settings_.pile->shape.radius : 0.0;
+  model_ = std::make_unique<Model>(list_skin * radius);
+  Model& m = *model_;
+  m.particles = std::move(assembly_.particles);
+  m.is_fixed = assembly_.is_fixed;
+  m.gravity = {0, 0, -settings_.gravity};
+  m.material = settings_.material;
+  m.facet_material = {settings_.material.contact_modulus, settings_.material.stiffness_ratio, settings_.interface_friction,
+                      settings_.material.damping_ratio, settings_.facet_stiffness_factor};
+  m.facets = InterfaceFacets(initial_.nodes, initial_.facets, collar);
+  m.planes = Planes(settings_.planes, settings_.wall_friction);
+  if (settings_.pile) m.pile.emplace(settings_.pile->shape, -settings_.pile->embedment, settings_.pile->friction);
+  spdlog::info("packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, bulk porosity {:.3f}, "
+               "overall {:.3f}",
+               m.particles.body_count(), m.particles.pebble_count(), assembly_.mean_radius, assembly_.solid_density,
+               assembly_.bulk_porosity, assembly_.overall_porosity);
+
+  ServoSettings servo_settings;
+  servo_settings.max_travel = settings_.balance.max_servo_travel * radius;
+  const double tip_target = settings_.pile ? target_vertical_pressure(-settings_.pile->embedment) : 0.0;
+  Servo servo(m, initial_.ring, initial_.traction, tip_target, servo_settings);
+  if (settings_.balance.max_cycles > 0) {
+    relax(servo);
+    settle(servo);
+  }
+  m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
+  if (m.pile) m.pile->set_velocity(0);
+  evaluate_forces(m);
+
+  protocol::Balance reached;
+  reached.traction.resize(initial_.facets.size());
+  for (std::size_t f = 0; f < reached.traction.size(); ++f)
+    reached.traction[f] = m.facets.facet_force()[f] / m.facets.area_vector(f).norm();
+  reached.porosity = assembly_.bulk_porosity;
+  reached.unbalanced_ratio = settings_.balance.max_cycles > 0 ? unbalanced_ratio(m) : 0.0;
+  reached.particles = m.particles.body_count();
+  reached.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
+  session_.send(reached);
+
+  Json entry;
+  entry.add("unbalanced_ratio", reached.unbalanced_ratio)
+      .add("contacts", static_cast<std::int64_t>(reached.contacts))
+      .add("bulk_porosity", assembly_.bulk_porosity)
+      .add("overall_porosity", assembly_.overall_porosity);
+  if (settings_.balance.max_cycles > 0 && settings_.balance.servo) {
+    double weight = 0, bottom = 0, bottom_area = 0;
+    for (const double mass : m.particles.mass) weight += mass * settings_.gravity;
+    std::string table;
+    std::vector<double> targets, pressures, depths;
+    for (const Ring& ring : servo.rings()) {
+      if (!ring.is_side()) {
+        bottom += ring.pressure * ring.area;
+        bottom_area += ring.area;
+        continue;
+      }
+      targets.push_back(ring.target), pressures.push_back(ring.pressure), depths.push_back(ring.center_z);
+      table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm", ring.center_z,
+                           ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
+    }
+    const double tip = m.pile ? servo.tip_pressure() * m.pile->tip_area() : 0.0;
+    const double bottom_error = bottom - (weight + tip);
+    spdlog::info("ring pressures:{}", table);
+    if (m.pile)
+      spdlog::info("tip at z {:.3f} m carries {:.2f} kPa, handed over {:.2f} kPa; bottom {:.2f} kN = weight {:.2f} + tip {:.2f} "
+                   "{:+.2f} kN",
+                   m.pile->tip_z(), servo.tip_pressure() / 1000, servo.tip_target() / 1000, bottom / 1000, weight / 1000,
+                   tip / 1000, bottom_error / 1000);
+    entry.add("ring_depth_m", depths).add("ring_target_pa", targets).add("ring_pressure_pa", pressures);
+    entry.add("tip_target_pa", servo.tip_target()).add("tip_pressure_pa", servo.tip_pressure());
+    entry.add("bottom_force_n", bottom).add("weight_n", weight).add("bottom_error_n", bottom_error);
+    entry.add("worst_ring_mismatch", servo.worst_mismatch(settings_.balance.traction_tolerance));
+  }
+  spdlog::info("stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, {} cycles, {:.1f} s", reached.unbalanced_ratio,
+               reached.contacts, m.step, seconds_since(begin));
+  entry.add("cycles", static_cast<std::int64_t>(m.step));
+  stage_done("Balance", begin, std::move(entry));
+}
+
+// The cut leaves grains pressed into walls and pile: they are let go without gravity and friction, at limited speed.
+void GrainsRun::relax(Servo&) {
+  Model& m = *model_;
+  Held held;
+  m.damping = settings_.balance.damping;
+  m.gravity.setZero();
+  set_friction(0, 0);
+  double largest = 1;
+  evaluate_forces(m);
+  for (int n = 0; n < relax_cycles && largest > relaxed_overlap; ++n) {
+    if (n % limit_interval == 0) held.time_step = settings_.step_fraction * limit_.renew(m, m.damping);
+    if (!cycle(m, held)) break;
+    for (Vec3& v : m.particles.velocity)
+      if (const double speed = v.norm(); speed > relax_speed) v *= relax_speed / speed;
+    for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+      if (const double speed = m.particles.spin[b].norm() * m.particles.equivalent_radius[b]; speed > relax_speed)
+        m.particles.spin[b] *= relax_speed / speed;
+    largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap, m.pile_totals.all().max_overlap,
+                        m.plane_totals.max_overlap});
+    if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
+  }
+  m.gravity = {0, 0, -settings_.gravity};
+  spdlog::info("relaxed: largest overlap {:.3f} R after {} cycles", largest, m.step);
+}
+
+// Gravity with friction between the grains but smooth walls (with rough ones the sides would carry the weight, as in a silo),
+// first with everything held, then with the servo.
+void GrainsRun::settle(Servo& servo) {
+  Model& m = *model_;
+  const BalanceSettings& b = settings_.balance;
+  m.damping = b.damping;
+  set_friction(settings_.material.friction, 0);
+  m.contacts.clear_history();
+  servo.is_active = false;
+  const auto begin = Clock::now();
+  double ratio = 1;
+  std::uint32_t n = 0;
+  bool is_balanced = false;
+  for (; n < b.max_cycles && !is_balanced; ++n) {
+    if (n % limit_interval == 0) servo.time_step = settings_.step_fraction * limit_.renew(m, m.damping);
+    cycle(m, servo);
+    if (n % heartbeat_interval != 0) continue;
+    ratio = unbalanced_ratio(m);
+    if (!servo.is_active && b.servo && n > settle_cycles && ratio < servo_start_ratio) {
+      servo.is_active = true;
+      spdlog::info("servo on after {} cycles, unbalanced ratio {:.1e}", n, ratio);
+    }
+    const bool has_servo_done =
+        !b.servo || (servo.is_active && servo.fastest() < b.servo_tolerance && servo.worst_mismatch(b.traction_tolerance) < 1);
+    is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done;
+    const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
+    session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
+    show_progress(ratio);
+    watch();
+    if (n % 2000 == 0)
+      spdlog::debug("balancing: cycle {}, unbalanced ratio {:.1e}, ring mismatch {:.2f}, servo speed {:.1e} m/s, tip {:.2f} kPa, "
+                   "bottom contacts {}, list builds {}",
+                   n, ratio, servo.worst_mismatch(b.traction_tolerance), servo.fastest(), servo.tip_pressure() / 1000,
+                   m.facet_totals.contacts, m.contacts.rebuilds());
+  }
+  if (!is_balanced)
+    spdlog::warn("Balance gave up after balance.max_cycles = {}: unbalanced ratio {:.1e} (wanted {:.1e}), servo {:.1e} m/s (wanted "
+                 "{:.1e}), mismatch {:.2f} of the tolerance; give more cycles or a looser tolerance",
+                 b.max_cycles, ratio, b.tolerance, servo.fastest(), b.servo_tolerance, servo.worst_mismatch(b.traction_tolerance));
+  spdlog::info("settled in {} cycles, {:.1f} s", n, seconds_since(begin));
+}
+
+// ----------------------------------------------------------------------------------------------------- step 3
+
+void GrainsRun::excavate() {
+  stage_ = protocol::Stage::Excavate;
+  const auto begin = Clock::now();
+  Model& m = *model_;
+  const auto theirs = session_.receive<protocol::ContinuumExcavated>();
+  if (theirs.position_hash != 0 && theirs.position_hash != m.facets.position_hash())
+    throw PeerError(fmt::format("ContinuumExcavated.position_hash is {:016x}, but the nodes sent with InitialStress hash to {:016x}: "
+                                "the peer has moved its interface since",
+                                theirs.position_hash, m.facets.position_hash()));
+  limit_ = StepLimit();
+  limit_.renew(m, settings_.step_damping);
+  protocol::GrainsExcavated reply;
+  reply.offset = m.facets.offsets();
+  reply.stable_step = limit_.step();
+  reply.node_stiffness = told_stiffness_ = m.facets.node_stiffness();
+  reply.nodal_force = m.facets.nodal_force();
+  reply.position_hash = m.facets.position_hash();
+  session_.send(reply);
+  spdlog::info("stage Excavate (paper step 3): peer deleted {} zones, residual {:.1e}; stable steps {:.3e} s (grains, body {}) and "
+               "{:.3e} s (zones)",
+               theirs.zones_deleted, theirs.residual_ratio, limit_.step(), limit_.worst_body(), theirs.stable_step);
+  stage_done("Excavate", begin, Json().add("stable_step_s", limit_.step()).add("zones_deleted", theirs.zones_deleted));
+}
+
+// ---------------------------------------------------------------------------------------------- steps 4 to 7
+
+// The peer moves the facets: paper steps 5 and 6.
+class GrainsRun::Peer : public Boundary {
+ public:
+  explicit Peer(GrainsRun& run) : run_(run) {}
+
+  bool move_facets(Model& m) override {
+    {
+      const auto timing = m.profile.measure(Phase::WaitForPeer);
+      if (!run_.session_.receive_or_finish(velocities_)) return false;
+    }
+    m.facets.advance(velocities_.velocity, m.last_time_step);
+    if (velocities_.position_hash != 0 && velocities_.position_hash != m.facets.position_hash())
+      throw PeerError(fmt::format("Velocities({}).position_hash is {:016x}, the grains hold {:016x}: the two sides no longer agree "
+                                  "where the interface is; both must do x += v * time_step in double precision",
+                                  velocities_.step, velocities_.position_hash, m.facets.position_hash()));
+    m.time_step = velocities_.time_step;
+    if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply) run_.begin_penetration();
+    if (run_.stage_ == protocol::Stage::Penetrate && m.pile) {
+      const PileSettings& pile = *run_.settings_.pile;
+      const double ramp = std::min(1.0, (m.time - run_.penetration_begin_) / pile.speed_ramp);
+      m.pile->set_velocity(-pile.velocity * ramp);
+    }
+    return true;
+  }
+
+  void take_forces(Model& m) override {
+    forces_.step = velocities_.step;
+    forces_.force = m.facets.nodal_force();
+    forces_.particle_force = m.facet_totals.particle_force;
+    forces_.neglected_moment = m.facet_totals.neglected_moment;
+    forces_.unbalanced_ratio = ratio_;
+    forces_.stable_step = stable_step_;
+    forces_.is_done = run_.is_over();
+    const GrainEnergies& e = m.ledger.energies();
+    forces_.energies = {e.kinetic, e.elastic, e.gravity_work, e.damped + e.dashpots, e.friction, e.boundary_work, e.interface_work};
+    tell_stiffness(m);
+    run_.session_.send(forces_);
+  }
+
+  // After the cycle, while the message is on its way.
+  void take_stock(Model& m) {
+    ratio_ = unbalanced_ratio(m);
+    if (m.step % limit_interval == 0) {
+      stable_step_ = std::min(stable_step_, run_.limit_.renew(m, run_.settings_.step_damping));
+    }
+  }
+
+  void start() { stable_step_ = run_.limit_.step(); }
+
+ private:
+  // Node stiffness travels when one has grown by a tenth beyond what the peer knows.
+  void tell_stiffness(const Model& m) {
+    const std::vector<double>& now = m.facets.node_stiffness();
+    std::vector<double>& told = run_.told_stiffness_;
+    bool has_grown = false;
+    for (std::size_t j = 0; j < now.size(); ++j) has_grown |= now[j] > stiffness_growth * told[j];
+    forces_.node_stiffness.clear();
+    if (!has_grown) return;
+    for (std::size_t j = 0; j < now.size(); ++j) told[j] = std::max(told[j], now[j]);
+    forces_.node_stiffness = told;
+  }
+
+  GrainsRun& run_;
+  protocol::Velocities velocities_;
+  protocol::Forces forces_;
+  double ratio_ = 1;
+  double stable_step_ = 0;  // [s]
+};
+
+void GrainsRun::begin_apply() {
+  stage_ = protocol::Stage::Apply;
+  stage_begin_ = Clock::now();
+  Model& m = *model_;
+  m.damping = settings_.has_apply ? settings_.apply_damping : settings_.run_damping;
+  set_friction(settings_.material.friction, 1);
+  m.time = 0;
+  m.step = 0;
+  m.last_time_step = 0;
+  m.ledger.restart();
+  output_.snapshot(m, settings_);
+}
+
+// S = 0.
+void GrainsRun::begin_penetration() {
+  Model& m = *model_;
+  spdlog::info("stage Apply (paper step 4): {} steps, {:.3g} s of ground time, unbalanced ratio {:.1e}, {:.1f} s", m.step, m.time,
+               unbalanced_ratio(m), seconds_since(stage_begin_));
+  stage_done("Apply", stage_begin_,
+             Json().add("steps", static_cast<std::int64_t>(m.step)).add("unbalanced_ratio", m.step ? unbalanced_ratio(m) : 0.0));
+  stage_ = protocol::Stage::Penetrate;
+  stage_begin_ = Clock::now();
+  m.damping = settings_.run_damping;
+  if (m.pile) pile_start_ = m.pile->tip_z();
+  penetration_begin_ = m.time;
+  next_snapshot_ = 0;
+}
+
+void GrainsRun::exchange() {
+  begin_apply();
+  if (settings_.pile) pile_start_ = model_->pile->tip_z();
+  Model& m = *model_;
+  Peer peer(*this);
+  peer.start();
+  while (cycle(m, peer)) {
+    peer.take_stock(m);
+    output_.record(m, s_over_d(), unbalanced_ratio(m));
+    if (m.step % heartbeat_interval == 0) {
+      watch();
+      show_progress(unbalanced_ratio(m));
+    }
+    if (stage_ == protocol::Stage::Penetrate && settings_.snapshot_interval > 0) {
+      const double now = settings_.pile ? s_over_d() : m.time - penetration_begin_;
+      if (now >= next_snapshot_) {
+        output_.snapshot(m, settings_);
+        next_snapshot_ += settings_.snapshot_interval;
+      }
+    }
+  }
+}
+
+bool GrainsRun::is_over() const {
+  return interrupt_requested() || (settings_.pile && stage_ == protocol::Stage::Penetrate &&
+                                   penetration() >= settings_.pile->penetration);
+}
+
+RunReport GrainsRun::finish() {
+  Model& m = *model_;
+  end_ = session_.finish().text;
+  session_.send(protocol::Message(protocol::Finish{m.step, interrupt_requested() ? "interrupted" : "done"}));
+  if (stage_ == protocol::Stage::Penetrate)
+    spdlog::info("stage Velocities, Forces, Advance (paper steps 5 to 7): {} steps, S/D {:.3f}, tip {:.3g} MPa, shaft {:.3g} kN, "
+                 "{:.1f} s",
+                 m.step, s_over_d(), output_.tip_resistance() / 1e6, output_.shaft_force() / 1e3, seconds_since(stage_begin_));
+  stage_done("Penetrate", stage_begin_, Json().add("steps", static_cast<std::int64_t>(m.step)).add("s_over_d", s_over_d()));
+  output_.snapshot(m, settings_);
+  output_.summary(summary());
+  spdlog::info("finished: {}", end_);
+
+  RunReport r;
+  r.steps = m.step;
+  r.time = m.time;
+  r.state_hash = m.hash();
+  r.position_hash = m.facets.position_hash();
+  r.grains = m.particles.body_count();
+  r.s_over_d = s_over_d();
+  r.tip_resistance = output_.tip_resistance();
+  r.shaft_force = output_.shaft_force();
+  for (const Vec3& f : m.facets.nodal_force()) r.interface_force += f;
+  r.energy_residual = m.ledger.residual_fraction();
+  r.worst_vertical_imbalance = m.ledger.worst_vertical_imbalance();
+  r.worst_action_reaction = m.ledger.worst_action_reaction();
+  r.kinetic_energy = m.ledger.energies().kinetic;
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b) r.momentum += m.particles.mass[b] * m.particles.velocity[b];
+  r.end = end_;
+  return r;
+}
+
+// ------------------------------------------------------------------------------------------------------ watching
+
+// What a run that has gone wrong shows, looked at every few cycles: the peer hears it by Abort.
+void GrainsRun::watch() {
+  const Model& m = *model_;
+  if (!std::isfinite(m.motion.kinetic_energy)) {
+    throw NumericalError(fmt::format("step {}: the grains' kinetic energy is not finite; the run went unstable: lower "
+                                     "fidelity.step_fraction (now {})",
+                                     m.step, settings_.step_fraction));
+  }
+  const double overlap = std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap);
+  if (stage_ != protocol::Stage::Balance && overlap > alarming_overlap)
+    throw NumericalError(fmt::format("step {}: an overlap of {:.2f} R is no contact any more; stiffen grains.contact_modulus (now "
+                                     "{:.3g} Pa), slow fidelity.pile_velocity down or lower fidelity.step_fraction (now {})",
+                                     m.step, overlap, settings_.material.contact_modulus, settings_.step_fraction));
+  if (m.facets.tunnelled() > 0)
+    spdlog::warn("step {}: {} pebbles have sunk more than half their radius through the interface", m.step, m.facets.tunnelled());
+}
+
+void GrainsRun::show_progress(double unbalanced) {
+  if (seconds_since(last_progress_) < 0.5) return;
+  last_progress_ = Clock::now();
+  const Model& m = *model_;
+  static constexpr const char* names[] = {"Hello", "InitialStress", "Balance", "Excavate", "Apply", "Penetrate", "Finished",
+                                          "Aborted"};
+  const double waiting = m.profile.seconds(Phase::WaitForPeer);
+  const double total = m.profile.total();
+  std::string line = fmt::format("side=grains stage={} step={} time={:.6g} unbalanced={:.3e} wait={:.3f}",
+                                 names[static_cast<int>(stage_)], m.step, m.time, unbalanced, total > 0 ? waiting / total : 0.0);
+  if (settings_.pile && stage_ == protocol::Stage::Penetrate)
+    line += fmt::format(" fraction={:.4f} sd={:.4f} tip_kpa={:.1f}", penetration() / settings_.pile->penetration, s_over_d(),
+                        output_.tip_resistance() / 1000);
+  print_progress(line);
+}
+
+void GrainsRun::keep_last_state() noexcept {
+  try {
+    if (!model_) return;
+    output_.snapshot(*model_, settings_);
+    output_.summary(summary());
+  } catch (const std::exception& error) {
+    spdlog::error("the last state could not be written: {}", error.what());
+  }
+}
+
+void GrainsRun::stage_done(const std::string& name, Clock::time_point begin, Json entry) {
+  entry.add("seconds", seconds_since(begin));
+  stages_.add(name, entry);
+}
+
+Json GrainsRun::summary() {
+  const Model& m = *model_;
+  Json j;
+  j.add("program", "dem_server").add("version", lockstep_version()).add("title", settings_.title).add("end", end_);
+  j.add("seconds", seconds_since(begin_)).add("stages", stages_);
+  j.add("grains", static_cast<std::int64_t>(m.particles.body_count()))
+      .add("pebbles", static_cast<std::int64_t>(m.particles.pebble_count()))
+      .add("mean_radius_m", assembly_.mean_radius)
+      .add("solid_density_kg_m3", assembly_.solid_density)
+      .add("seed", static_cast<std::int64_t>(settings_.seed));
+  j.add("steps", static_cast<std::int64_t>(m.step)).add("time_s", m.time).add("time_step_s", m.last_time_step);
+  if (m.pile)
+    j.add("pile_diameter", 2 * settings_.pile->shape.radius)
+        .add("pile_tip_z", m.pile->tip_z())
+        .add("pile_tip_z_start", pile_start_)
+        .add("s_over_d", s_over_d())
+        .add("tip_resistance_pa", output_.tip_resistance())
+        .add("shaft_force_n", output_.shaft_force());
+  const GrainEnergies& e = m.ledger.energies();
+  j.add("energies_j", Json()
+                          .add("kinetic", e.kinetic)
+                          .add("elastic", e.elastic)
+                          .add("gravity_work", e.gravity_work)
+                          .add("boundary_work", e.boundary_work)
+                          .add("interface_work", e.interface_work)
+                          .add("damped", e.damped)
+                          .add("friction", e.friction)
+                          .add("dashpots", e.dashpots));
+  j.add("guarantees", Json()
+                          .add("energy_residual_over_work", m.ledger.residual_fraction())
+                          .add("worst_vertical_imbalance_over_largest_force", m.ledger.worst_vertical_imbalance())
+                          .add("worst_action_minus_reaction", m.ledger.worst_action_reaction())
+                          .add("tunnelled_pebbles", static_cast<std::int64_t>(m.facets.tunnelled())));
+  j.add("seconds_by_phase", Json()
+                                .add("wait for peer", m.profile.seconds(Phase::WaitForPeer))
+                                .add("interface contacts", m.profile.seconds(Phase::InterfaceContacts))
+                                .add("grain contacts", m.profile.seconds(Phase::PairContacts))
+                                .add("pile and planes", m.profile.seconds(Phase::WallContacts))
+                                .add("motion", m.profile.seconds(Phase::Motion))
+                                .add("ledger", m.profile.seconds(Phase::Ledger)));
+  j.add("list_builds", m.contacts.rebuilds()).add("list_refreshes", m.contacts.refreshes());
+  j.add("bytes_sent", session_.bytes_sent()).add("bytes_received", session_.bytes_received());
+  j.add("state_hash", fmt::format("{:016x}", m.hash()));
+  j.add("position_hash", fmt::format("{:016x}", m.facets.position_hash()));
+  return j;
+}
+
+}  // namespace
+
+RunReport run_grains(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options) {
+  return GrainsRun(scene, std::move(channel), options).run();
+}
+
+}  // namespace lockstep::dem

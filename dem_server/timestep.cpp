@@ -1,0 +1,139 @@
+#include "dem_server/timestep.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include "common/random.hpp"
+
+namespace lockstep::dem {
+
+namespace {
+
+using Mat6 = Eigen::Matrix<double, 6, 6>;
+using Mat36 = Eigen::Matrix<double, 3, 6>;
+using Vec6 = Eigen::Matrix<double, 6, 1>;
+
+Mat3 cross_matrix(const Vec3& r) {
+  Mat3 m;
+  m << 0, -r.z(), r.y(), r.z(), 0, -r.x(), -r.y(), r.x(), 0;
+  return m;
+}
+
+// Velocity of the contact point per mass-scaled velocity of the body: G of the header. Rotation in the body's axes.
+Mat36 mass_scaled_map(const Particles& particles, std::int32_t body, const Vec3& lever) {
+  Mat36 g;
+  g.leftCols<3>() = Mat3::Identity() / std::sqrt(particles.mass[body]);
+  const Vec3 root = particles.inertia[body].cwiseSqrt().cwiseInverse();
+  g.rightCols<3>() = -cross_matrix(lever) * particles.orientation[body].toRotationMatrix() * root.asDiagonal();
+  return g;
+}
+
+// Symmetric square root of the contact's stiffness.
+Mat3 root_stiffness(const ContactView& c) {
+  const double n = std::sqrt(c.normal_stiffness), s = std::sqrt(c.shear_stiffness);
+  return (n - s) * c.normal * c.normal.transpose() + s * Mat3::Identity();
+}
+
+// Upper bound of the largest eigenvalue of a positive semi-definite matrix, at most size^(1/16) too large:
+// |D^8|_F^(1/8).
+template <class Matrix>
+double largest_eigenvalue_bound(const Matrix& d) {
+  const double size = d.trace();
+  if (!(size > 0)) return 0;
+  Matrix power = d / size;
+  for (int k = 0; k < 3; ++k) power = (power * power).eval();
+  return size * std::pow(power.norm(), 0.125);
+}
+
+}  // namespace
+
+void StiffnessSum::reset(std::size_t bodies) {
+  diagonal_.assign(bodies, Mat6::Zero());
+  neighbors_.assign(bodies, 0.0);
+}
+
+void StiffnessSum::add(const ContactView& contact, const Particles& particles) {
+  const Vec3 end = contact.body_b >= 0 ? particles.position[contact.body_b] : contact.point;
+  add(contact, particles, Vec3(end - particles.position[contact.body_a]));
+}
+
+void StiffnessSum::add(const ContactView& contact, const Particles& particles, const Vec3& branch) {
+  const Vec3 lever_a = contact.point - particles.position[contact.body_a];
+  add_levers(contact, particles, lever_a, Vec3(lever_a - branch));
+}
+
+void StiffnessSum::add_levers(const ContactView& contact, const Particles& particles, const Vec3& lever_a,
+                              const Vec3& lever_b) {
+  const Mat3 root = root_stiffness(contact);
+  const std::int32_t a = contact.body_a, b = contact.body_b;
+  const Mat36 h_a = root * mass_scaled_map(particles, a, lever_a);
+  diagonal_[a] += h_a.transpose() * h_a;
+  if (b < 0) return;
+  const Mat36 h_b = root * mass_scaled_map(particles, b, lever_b);
+  diagonal_[b] += h_b.transpose() * h_b;
+  const double product = std::sqrt(largest_eigenvalue_bound<Mat3>(h_a * h_a.transpose()) *
+                                   largest_eigenvalue_bound<Mat3>(h_b * h_b.transpose()));
+  neighbors_[a] += product;
+  neighbors_[b] += product;
+}
+
+double StiffnessSum::squared_frequency(std::int32_t body) const {
+  return largest_eigenvalue_bound<Mat6>(diagonal_[body]) + neighbors_[body];
+}
+
+double StiffnessSum::stable_step(double damping, std::int32_t* worst_body) const {
+  double largest = 0;
+  std::int32_t worst = -1;
+  for (std::size_t b = 0; b < diagonal_.size(); ++b) {
+    const double squared = squared_frequency(static_cast<std::int32_t>(b));
+    if (squared > largest) largest = squared, worst = static_cast<std::int32_t>(b);
+  }
+  if (worst_body) *worst_body = worst;
+  if (worst < 0) return std::numeric_limits<double>::infinity();
+  return 2 / std::sqrt(largest * (1 + damping));
+}
+
+double critical_step_power(const std::vector<ContactView>& contacts, const Particles& particles, double damping,
+                           int products, const Vec3s& branches) {
+  if (contacts.empty()) return std::numeric_limits<double>::infinity();
+  std::vector<Mat36> map_a, map_b;
+  for (std::size_t c = 0; c < contacts.size(); ++c) {
+    const ContactView& contact = contacts[c];
+    const Mat3 root = root_stiffness(contact);
+    const Vec3 lever_a = contact.point - particles.position[contact.body_a];
+    map_a.push_back(root * mass_scaled_map(particles, contact.body_a, lever_a));
+    if (contact.body_b < 0) {
+      map_b.push_back(Mat36::Zero());
+    } else {
+      const Vec3 lever_b =
+          branches.empty() ? Vec3(contact.point - particles.position[contact.body_b]) : Vec3(lever_a - branches[c]);
+      map_b.push_back(root * mass_scaled_map(particles, contact.body_b, lever_b));
+    }
+  }
+  std::vector<Vec6> shape(particles.body_count()), image(particles.body_count());
+  Random random(1);
+  for (Vec6& s : shape)
+    for (int k = 0; k < 6; ++k) s[k] = random.uniform(-1, 1);
+  double squared_frequency = 0;
+  for (int product = 0; product < products; ++product) {
+    double norm = 0;
+    for (const Vec6& s : shape) norm += s.squaredNorm();
+    const double scale = 1 / std::sqrt(norm);
+    for (Vec6& s : shape) s *= scale;
+    for (Vec6& s : image) s.setZero();
+    double energy = 0;
+    for (std::size_t c = 0; c < contacts.size(); ++c) {
+      const std::int32_t a = contacts[c].body_a, b = contacts[c].body_b;
+      Vec3 stretch = map_a[c] * shape[a];
+      if (b >= 0) stretch -= map_b[c] * shape[b];
+      energy += stretch.squaredNorm();
+      image[a] += map_a[c].transpose() * stretch;
+      if (b >= 0) image[b] -= map_b[c].transpose() * stretch;
+    }
+    squared_frequency = energy;  // Rayleigh's quotient of the unit shape
+    shape.swap(image);
+  }
+  return power_margin * 2 / std::sqrt(squared_frequency * (1 + damping));
+}
+
+}  // namespace lockstep::dem

@@ -1,0 +1,61 @@
+#include <sys/wait.h>
+
+#include <array>
+#include <catch2/catch.hpp>
+#include <cstdio>
+#include <string>
+
+namespace {
+
+struct Outcome {
+  int exit_code = -1;
+  std::string text;  // both streams
+};
+
+Outcome run(const std::string& arguments) {
+  const std::string command = std::string(SOURCE_DIR) + "/" + arguments + " 2>&1 </dev/null";
+  Outcome outcome;
+  std::FILE* pipe = popen(command.c_str(), "r");
+  REQUIRE(pipe);
+  std::array<char, 4096> buffer;
+  while (const std::size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) outcome.text.append(buffer.data(), n);
+  const int status = pclose(pipe);
+  outcome.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+bool contains(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+}  // namespace
+
+TEST_CASE("tools/run refuses what cannot work, in words, before it starts anything") {
+  const std::string scene = "tools/run " + std::string(SOURCE_DIR) + "/scenarios/pile_quick ";
+  const Outcome none = run("tools/run no_such_scene --programs /tmp");
+  CAPTURE(none.text);
+  CHECK(none.exit_code == 1);
+  CHECK(contains(none.text, "no_such_scene"));
+  CHECK(contains(none.text, "scenarios/"));
+
+  const Outcome unbuilt = run(scene + "--programs /tmp/none --out " + std::string(BINARY_DIR) + "/no_run");
+  CAPTURE(unbuilt.text);
+  CHECK(unbuilt.exit_code == 1);
+  CHECK(contains(unbuilt.text, "tools/setup"));
+
+  const Outcome malformed = run(scene + "--set gravity");
+  CAPTURE(malformed.text);
+  CHECK(malformed.exit_code == 1);
+  CHECK(contains(malformed.text, "key=value"));
+
+  const Outcome unwritable = run(scene + "--programs " + std::string(BINARY_DIR) + " --out /proc/lockstep");
+  CAPTURE(unwritable.text);
+  CHECK(unwritable.exit_code == 2);
+  CHECK(contains(unwritable.text, "/proc/lockstep"));
+
+  CHECK(run("tools/run --no-such-option").exit_code == 1);
+}
+
+TEST_CASE("tools/run --help shows examples") {
+  const Outcome help = run("tools/run --help");
+  CHECK(help.exit_code == 0);
+  CHECK(contains(help.text, "tools/run scenarios/pile_quick"));
+}

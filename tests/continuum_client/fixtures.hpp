@@ -1,0 +1,73 @@
+// Small worlds for the tests of the ground.
+#pragma once
+#include <functional>
+#include <vector>
+
+#include "common/checks.hpp"
+#include "common/hash.hpp"
+#include "common/random.hpp"
+#include "continuum_client/boundary_conditions.hpp"
+#include "continuum_client/equilibrium.hpp"
+#include "continuum_client/grid_builder.hpp"
+#include "continuum_client/integrator.hpp"
+#include "continuum_client/interface_surface.hpp"
+#include "continuum_client/internal_force.hpp"
+#include "continuum_client/timestep.hpp"
+
+namespace lockstep::continuum {
+
+inline const double test_density = 1630;  // [kg/m3]
+inline const ElasticModuli test_moduli = elastic_moduli(44.3e6, 0.3);
+
+inline Grid brick(double x, double y, double z, int nx, int ny, int nz) {
+  BlockMesh m;
+  m.width_x = x, m.width_y = y, m.height = z, m.top_z = 0;
+  m.zones_x = nx, m.zones_y = ny, m.zones_z = nz;
+  m.where = "test";
+  return build_block(m);
+}
+
+// Moves each node by up to `share` of `size` in each direction: faces warp too.
+inline void distort(Grid& grid, double size, double share) {
+  Random random(3);
+  for (Vec3& x : grid.node)
+    for (int c = 0; c < 3; ++c) x[c] += share * size * random.uniform(-1, 1);
+}
+
+inline CylinderMesh small_cylinder() {
+  CylinderMesh m;
+  m.width = 3, m.depth = 4, m.hole_diameter = 0.875, m.hole_depth = 2.5;
+  m.zones_around = 16, m.zones_radial = 5, m.zones_hole_depth = 6, m.zones_below = 3;
+  m.radial_growth = 1.3, m.depth_growth = 1.1;
+  m.where = "test";
+  return m;
+}
+
+inline Vec3s weights(const std::vector<double>& mass, double gravity) {
+  Vec3s load(mass.size(), Vec3::Zero());
+  for (std::size_t i = 0; i < mass.size(); ++i) load[i].z() = -mass[i] * gravity;
+  return load;
+}
+
+// Without any load or support the ground moves freely.
+struct FreeRun {
+  Grid grid;
+  InternalForce force;
+  Integrator integrator;
+  Motion motion;
+  Vec3s internal;
+
+  FreeRun(Grid g, const Vec3s& is_free, const ElasticModuli& moduli = test_moduli)
+      : grid(std::move(g)),
+        force{assemble_stiffness(grid, moduli), Vec3s(grid.node_count(), Vec3::Zero())},
+        integrator(lumped_masses(grid, test_density), is_free),
+        motion{Vec3s(grid.node_count(), Vec3::Zero()), Vec3s(grid.node_count(), Vec3::Zero())},
+        internal(grid.node_count()) {}
+
+  StepSums step(double dt, double damping, double velocity_limit = 1e300) {
+    force.evaluate(motion.displacement, internal);
+    return integrator.advance(motion, internal, force.reference, {}, damping, {dt, dt}, velocity_limit);
+  }
+};
+
+}  // namespace lockstep::continuum

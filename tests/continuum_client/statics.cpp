@@ -1,0 +1,141 @@
+// Known static answers: what the explicit scheme comes to rest at, K u = f.
+#include <catch2/catch.hpp>
+#include <cmath>
+
+#include "tests/continuum_client/fixtures.hpp"
+
+namespace lockstep::continuum {
+namespace {
+
+// Tip deflection of a cantilever (length 10, square section 1, cubes as zones) over Timoshenko's beam.
+double cantilever(int zones_through_depth, double nu) {
+  const int n = zones_through_depth;
+  const double length = 10, e = 44.3e6, load = 1;
+  const ElasticModuli moduli = elastic_moduli(e, nu);
+  const Grid grid = brick(length, 1, 1, 10 * n, n, n);
+  Vec3s is_free(grid.node_count(), Vec3::Ones()), f(grid.node_count(), Vec3::Zero()), u;
+  for (std::size_t i = 0; i < grid.node_count(); ++i) {
+    const Vec3& x = grid.node[i];
+    if (x.x() < grid.low.x() + 1e-9) is_free[i].setZero();
+    if (x.x() > grid.high.x() - 1e-9) {
+      // Bilinear shares of a uniform shear traction.
+      const bool edge_y = std::abs(x.y()) > 0.5 - 1e-9, edge_z = x.z() > -1e-9 || x.z() < -1 + 1e-9;
+      f[i].z() = load / (n * n) * (edge_y ? 0.5 : 1) * (edge_z ? 0.5 : 1);
+    }
+  }
+  solve_static(assemble_stiffness(grid, moduli), is_free, f, u, {});
+  double tip = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < grid.node_count(); ++i)
+    if (grid.node[i].x() > grid.high.x() - 1e-9) tip += u[i].z(), ++count;
+  const double inertia = 1.0 / 12, shear_area = 5.0 / 6;
+  const double exact = load * std::pow(length, 3) / (3 * e * inertia) + load * length / (shear_area * moduli.shear);
+  return tip / count / exact;
+}
+
+// A quarter of a thick cylinder, a = 1, b = 4, in plane strain under inner pressure: inner displacement over Lame's
+//   u(a) = (1 + nu) p a / E ((1 - 2 nu) a^2 + b^2) / (b^2 - a^2).
+double thick_cylinder(int radial, double nu) {
+  const double a = 1, b = 4, thickness = 0.25, e = 44.3e6;
+  const ElasticModuli moduli = elastic_moduli(e, nu);
+  const int around = radial;
+  Grid grid = brick(b - a, 1, thickness, radial, around, 1);
+  Vec3s is_free(grid.node_count(), Vec3::Ones()), f(grid.node_count(), Vec3::Zero()), u;
+  for (int k = 0; k <= 1; ++k)
+    for (int j = 0; j <= around; ++j)
+      for (int i = 0; i <= radial; ++i) {
+        const int n = (k * (around + 1) + j) * (radial + 1) + i;
+        const double r = a * std::pow(b / a, static_cast<double>(i) / radial), angle = 0.5 * pi * j / around;
+        grid.node[n].x() = j == around ? 0 : r * std::cos(angle);
+        grid.node[n].y() = j == 0 ? 0 : r * std::sin(angle);
+        is_free[n].z() = 0;
+        if (j == 0) is_free[n].y() = 0;
+        if (j == around) is_free[n].x() = 0;
+        if (i == 0) {
+          // Unit pressure on the chords on either side.
+          const double half_angle = 0.25 * pi / around, chord = 2 * a * std::sin(half_angle);
+          for (int side : {-1, 1})
+            if (j + side >= 0 && j + side <= around)
+              f[n] += 0.25 * chord * thickness *
+                      Vec3(std::cos(angle + side * half_angle), std::sin(angle + side * half_angle), 0);
+        }
+      }
+  solve_static(assemble_stiffness(grid, moduli), is_free, f, u, {});
+  const double exact = (1 + nu) * a / e * ((1 - 2 * nu) * a * a + b * b) / (b * b - a * a);
+  double mean = 0;
+  for (int j = 0; j <= around; ++j) mean += u[j * (radial + 1)].head<2>().norm() / (around + 1);
+  return mean / exact;
+}
+
+}  // namespace
+
+TEST_CASE("a cantilever is as stiff as mixed discretization makes it") {
+  // Known shares of the beam's deflection for 1, 2 and 4 zones through the depth: .46, .74, .91 (nu 0.3); .53, .73, .89
+  // (nu 0.499). Too stiff in bending on coarse meshes, converging from below.
+  const double one = cantilever(1, 0.3), two = cantilever(2, 0.3), four = cantilever(4, 0.3);
+  INFO("cantilever, 1, 2, 4 zones through the depth, nu 0.3: " << one << " " << two << " " << four);
+  CHECK(one == Approx(0.46).margin(0.02));
+  CHECK(two == Approx(0.74).margin(0.02));
+  CHECK(four == Approx(0.91).margin(0.02));
+}
+
+TEST_CASE("a thick cylinder meets Lame's solution, and nu near a half does not lock it") {
+  const double coarse = thick_cylinder(6, 0.3), fine = thick_cylinder(12, 0.3);
+  const double coarse_stiff = thick_cylinder(6, 0.499), fine_stiff = thick_cylinder(12, 0.499);
+  INFO("Lame u(a)/exact, 6 and 12 zones: nu 0.3 " << coarse << " " << fine << ", nu 0.499 " << coarse_stiff << " "
+                                                  << fine_stiff);
+  // Known: .968 and .994 at nu 0.3, .967 and .994 at 0.499 (plain tetrahedra: .18 and .47).
+  CHECK(coarse == Approx(0.968).margin(0.015));
+  CHECK(fine == Approx(0.994).margin(0.006));
+  CHECK(coarse_stiff == Approx(0.967).margin(0.015));
+  CHECK(fine_stiff == Approx(0.994).margin(0.006));
+  const double order = std::log2((1 - coarse) / (1 - fine));
+  INFO("order of accuracy " << order);
+  CHECK(order > 1.7);
+}
+
+TEST_CASE("a column under its own weight is exact at its nodes, for any aspect of its zones") {
+  // u(z) = -rho g (H s - s^2 / 2) / M with s the height over the bottom, sigma_v = rho g z, K0 = nu / (1 - nu).
+  const double gravity = 9.81, height = 9;
+  for (double width : {0.36 * 2, 72.0, 0.0072}) {  // aspects 1, 100 and 1/50 with 25 zones of 0.36 m
+    const Grid grid = brick(width, width, height, 2, 2, 25);
+    const std::vector<double> mass = lumped_masses(grid, test_density);
+    const Vec3s is_free = free_components(grid, Supports::Rollers, mass);
+    const StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
+    Vec3s u;
+    const EquilibriumReport report =
+        reach_equilibrium(k, mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-8, 1000, 0.9, u, {});
+    const double m = test_moduli.constrained(), largest = test_density * gravity * height * height / 2 / m;
+    double error = 0, stress_error = 0, k0_error = 0;
+    for (std::size_t i = 0; i < u.size(); ++i) {
+      const double s = grid.node[i].z() + height;
+      error =
+          std::max(error, (u[i] - Vec3(0, 0, -test_density * gravity * (height * s - s * s / 2) / m)).norm() / largest);
+    }
+    for (std::size_t z = 0; z < grid.zone_count(); ++z) {
+      const Mat3 s = zone_stress(grid.geometry(z), test_moduli, gather(u, grid.zone[z]));
+      const double exact = test_density * gravity * grid.zone_center(z).z();
+      stress_error = std::max(stress_error, std::abs(s(2, 2) - exact) / (test_density * gravity * height));
+      k0_error = std::max(k0_error, std::abs(s(0, 0) / s(2, 2) - 0.3 / 0.7));
+    }
+    INFO("width " << width << ": displacement error " << error << ", stress error " << stress_error << ", K0 error "
+                  << k0_error << ", solver iterations " << report.solve.iterations << ", ratio after " << report.cycles
+                  << " cycles " << report.unbalanced_ratio << ", drift " << report.drift);
+    // Slender zones: their shear stiffness across cancels to the weight of a sliver, and rounding with it.
+    CHECK(error < 1e-9);
+    CHECK(stress_error < 1e-9);
+    CHECK(k0_error < 1e-8);
+    CHECK(report.drift < 1e-10);
+  }
+}
+
+TEST_CASE("a ground without enough support to carry it is an error in words") {
+  const Grid grid = brick(1, 1, 1, 2, 2, 2);
+  const std::vector<double> mass = lumped_masses(grid, test_density);
+  const Vec3s nowhere_held(grid.node_count(), Vec3::Ones());
+  Vec3s u;
+  CHECK_THROWS_AS(solve_static(assemble_stiffness(grid, test_moduli), nowhere_held, weights(mass, 9.81), u, {}),
+                  NumericalError);
+}
+
+}  // namespace lockstep::continuum

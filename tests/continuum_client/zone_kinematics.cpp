@@ -1,0 +1,113 @@
+#include "continuum_client/zone_kinematics.hpp"
+
+#include <Eigen/Dense>
+#include <catch2/catch.hpp>
+
+#include "tests/continuum_client/fixtures.hpp"
+
+namespace lockstep::continuum {
+namespace {
+
+Mat3 some_gradient() {
+  Mat3 a;
+  a << 1e-3, 4e-4, -2e-4, 3e-4, -5e-4, 6e-4, -1e-4, 2e-4, 7e-4;
+  return a;
+}
+
+}  // namespace
+
+TEST_CASE("distorted and warped zones pass the patch test to round-off") {
+  // A linear field has one stress everywhere, and in equilibrium no force is left on any inner node, whatever the
+  // zones' shapes.
+  Grid grid = brick(1, 1, 1, 4, 4, 4);
+  distort(grid, 0.25, 0.2);
+  check_zones(grid, "test");
+  const Mat3 a = some_gradient();
+  Vec3s u, f(grid.node_count());
+  for (const Vec3& x : grid.node) u.push_back(a * x);
+  assemble_stiffness(grid, test_moduli).multiply(u, f);
+  double inner = 0, outer = 0;
+  for (int k = 0; k <= 4; ++k)
+    for (int j = 0; j <= 4; ++j)
+      for (int i = 0; i <= 4; ++i) {
+        const bool is_inner = i > 0 && i < 4 && j > 0 && j < 4 && k > 0 && k < 4;
+        const double force = f[(k * 5 + j) * 5 + i].norm();
+        (is_inner ? inner : outer) = std::max(is_inner ? inner : outer, force);
+      }
+  const Mat3 strain = 0.5 * (a + a.transpose());
+  const Mat3 exact = elastic_stress(test_moduli, strain, strain.trace());
+  double stress_error = 0;
+  for (std::size_t z = 0; z < grid.zone_count(); ++z)
+    stress_error =
+        std::max(stress_error,
+                 (zone_stress(grid.geometry(z), test_moduli, gather(u, grid.zone[z])) - exact).norm() / exact.norm());
+  INFO("force left on inner nodes over boundary force: " << inner / outer << ", stress error " << stress_error);
+  CHECK(inner / outer < 2e-14);
+  CHECK(stress_error < 1e-13);
+}
+
+TEST_CASE("the patch test's displacements come back from boundary values alone") {
+  // K u = 0 inside with u = A x on the boundary has the one solution u = A x.
+  Grid grid = brick(1, 1, 1, 3, 3, 3);
+  distort(grid, 1.0 / 3, 0.2);
+  const StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
+  const Mat3 a = some_gradient();
+  Vec3s is_free(grid.node_count(), Vec3::Zero()), boundary(grid.node_count(), Vec3::Zero()), f(grid.node_count()), u;
+  for (int l = 0; l <= 3; ++l)
+    for (int j = 0; j <= 3; ++j)
+      for (int i = 0; i <= 3; ++i) {
+        const int n = (l * 4 + j) * 4 + i;
+        if (i > 0 && i < 3 && j > 0 && j < 3 && l > 0 && l < 3)
+          is_free[n].setOnes();
+        else
+          boundary[n] = a * grid.node[n];
+      }
+  k.multiply(boundary, f);
+  for (Vec3& v : f) v = -v;
+  solve_static(k, is_free, f, u, {});
+  double error = 0;
+  for (std::size_t i = 0; i < u.size(); ++i)
+    if (is_free[i].x() > 0) error = std::max(error, (u[i] - a * grid.node[i]).norm() / (a * grid.node[i]).norm());
+  INFO("displacement error " << error);
+  CHECK(error < 1e-11);
+}
+
+TEST_CASE("a zone has six motions without force and no more") {
+  // Three translations and three rotations; a seventh would be an hourglass.
+  Grid grid = brick(1, 1.3, 0.7, 1, 1, 1);
+  distort(grid, 1, 0.1);
+  const ZoneMatrix k = zone_stiffness(grid.geometry(0), test_moduli);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver{Eigen::MatrixXd(k)};
+  const auto values = solver.eigenvalues();
+  INFO("sixth " << values[5] / values[23] << ", seventh " << values[6] / values[23]);
+  CHECK(values[5] / values[23] < 1e-14);
+  CHECK(values[0] / values[23] > -1e-14);
+  CHECK(values[6] / values[23] > 1e-2);
+}
+
+TEST_CASE("the stiffness matrix is the kernel's, and volumes fill the zone") {
+  Grid grid = brick(1, 1, 1, 1, 1, 1);
+  distort(grid, 1, 0.1);
+  const ZoneGeometry geometry = grid.geometry(0);
+  Random random(8);
+  ZoneVectors u;
+  Eigen::Matrix<double, 24, 1> column;
+  for (int i = 0; i < 24; ++i) u[i / 3][i % 3] = column[i] = random.uniform(-1, 1);
+  const ZoneVectors f = zone_force(geometry, test_moduli, u);
+  const Eigen::Matrix<double, 24, 1> g = zone_stiffness(geometry, test_moduli) * column;
+  double error = 0, scale = 0, volume = 0;
+  for (int a = 0; a < 8; ++a)
+    error = std::max(error, (f[a] - g.segment<3>(3 * a)).norm()), scale = std::max(scale, f[a].norm());
+  for (double v : nodal_volumes(geometry)) volume += v;
+  INFO("error " << error / scale);
+  CHECK(error / scale < 1e-14);
+  CHECK(volume == Approx(geometry.zone_volume()).epsilon(1e-14));
+}
+
+TEST_CASE("shear and bulk modulus are those of E and nu, not as the paper's table has them swapped") {
+  // E 44.3 MPa, nu 0.3: G = 44.3 / 2.6, K = 44.3 / 1.2 MPa.
+  CHECK(test_moduli.shear == Approx(17.0385e6).epsilon(1e-5));
+  CHECK(test_moduli.bulk == Approx(36.9167e6).epsilon(1e-5));
+}
+
+}  // namespace lockstep::continuum

@@ -1,0 +1,56 @@
+// Both solvers in this process, over the in-memory channel, and both programs as processes of their own, over TCP.
+#pragma once
+#include <sys/types.h>
+
+#include <exception>
+#include <filesystem>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "common/scene.hpp"
+#include "continuum_client/stages.hpp"
+#include "dem_server/stages.hpp"
+#include "protocol/loopback_channel.hpp"
+
+namespace lockstep::coupled {
+
+inline std::filesystem::path scenario(const std::string& name) {
+  return std::filesystem::path(SOURCE_DIR) / "scenarios" / name / "scene.txt";
+}
+
+struct Reports {
+  dem::RunReport grains;
+  continuum::RunReport zones;
+};
+
+// Runs a scene with both sides in this process; the first error of either side is thrown on.
+inline Reports run_in_process(const SceneFile& scene) {
+  auto [server, client] = protocol::make_loopback();
+  Reports reports;
+  std::exception_ptr grains_failed, zones_failed;
+  std::thread grains([&, channel = std::move(server)]() mutable {
+    try {
+      reports.grains = dem::run_grains(scene, std::move(channel), {});
+    } catch (...) {
+      grains_failed = std::current_exception();
+    }
+  });
+  try {
+    continuum::RunOptions options;
+    options.prints_progress = false;
+    reports.zones = continuum::run_continuum(scene, {}, std::move(client), options);
+  } catch (...) {
+    zones_failed = std::current_exception();
+  }
+  grains.join();
+  if (grains_failed) std::rethrow_exception(grains_failed);
+  if (zones_failed) std::rethrow_exception(zones_failed);
+  return reports;
+}
+
+inline Reports run_in_process(const std::string& name, const std::vector<std::string>& overrides = {}) {
+  return run_in_process(read_scene(scenario(name), overrides));
+}
+
+}  // namespace lockstep::coupled

@@ -1,0 +1,158 @@
+#include <catch2/catch.hpp>
+#include <cstdio>
+#include <ctime>
+#include <numeric>
+
+#include "common/checks.hpp"
+#include "dem_server/generation.hpp"
+#include "dem_server/measure.hpp"
+#include "tests/dem_server/free_grains.hpp"
+
+using namespace lockstep;
+using namespace lockstep::dem;
+
+namespace {
+
+CubeRequest small_request() {
+  CubeRequest request;
+  request.grains = 150;
+  request.porosity = 0.43;
+  return request;
+}
+
+const Cube& small_cube() {
+  static const Cube cube = make_cube(small_request());
+  return cube;
+}
+
+std::uint64_t hash_of(const Cube& cube) {
+  Hash h;
+  cube.particles.hash(h);
+  h.add(cube.period);
+  return h.value();
+}
+
+}  // namespace
+
+TEST_CASE("a cube has the porosity, pressure and grain sizes asked for") {
+  const Cube& cube = small_cube();
+  const CubeRequest request = small_request();
+  const std::vector<double>& r = cube.particles.equivalent_radius;
+  const double mean = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
+  const auto [least, largest] = std::minmax_element(r.begin(), r.end());
+  CAPTURE(cube.porosity - request.porosity, cube.pressure, cube.preparation_friction, cube.tries, cube.steps);
+  CAPTURE(mean / request.radius_mean - 1, *largest / *least, cube.released_porosity, cube.released_pressure);
+  CHECK(std::abs(cube.porosity - request.porosity) < 0.005);
+  CHECK(cube.pressure == Approx(request.pressure).epsilon(0.011));
+  CHECK(cube.released_pressure < 1.1 * request.released_pressure);
+  CHECK(cube.released_pressure > 0);
+  CHECK(cube.released_porosity - cube.porosity < 0.004);
+  CHECK(std::abs(mean / request.radius_mean - 1) < 1e-12);
+  CHECK(*largest / *least < request.radius_ratio * 1.0001);
+  CHECK(*largest / *least > 0.95 * request.radius_ratio);
+  for (const Vec3& x : cube.particles.position) CHECK(Box{Vec3::Zero(), cube.period}.contains(x));
+}
+
+TEST_CASE("summed porosity is the porosity that sampling finds, overlap counted once") {
+  const Cube& cube = small_cube();
+  const Particles block = tile(cube, Vec3::Zero(), 3 * cube.period);
+  const double sampled = porosity(block, Box{cube.period, 2 * cube.period}, 0.028 / 8);
+  CAPTURE(sampled - cube.released_porosity);
+  CHECK(std::abs(sampled - cube.released_porosity) < 0.004);
+}
+
+TEST_CASE("the same request gives the same bits and another seed another cube") {
+  CubeRequest request = small_request();
+  request.grains = 60;
+  const Cube one = make_cube(request), two = make_cube(request);
+  CHECK(hash_of(one) == hash_of(two));
+  request.seed = 2;
+  CHECK(hash_of(make_cube(request)) != hash_of(one));
+}
+
+TEST_CASE("a porosity out of reach is refused at once, with key, value, range and remedy") {
+  CubeRequest request;
+  request.pebbles = 1;
+  request.porosity = 0.30;
+  bool is_started = false;
+  request.progress = [&](std::string_view, double) { is_started = true; };
+  CHECK_THROWS_AS(make_cube(request), InputError);
+  CHECK_THROWS_WITH(make_cube(request), Catch::Contains("grains.packing.porosity = 0.3") && Catch::Contains("reach") &&
+                                            Catch::Contains("clumps"));
+  CHECK(!is_started);
+  request.porosity = 0.5;
+  CHECK_THROWS_AS(make_cube(request), InputError);
+  const PorosityRange spheres = reachable_porosity(1, 1), clumps = reachable_porosity(3, 1.5);
+  CHECK(clumps.low < spheres.low);
+  CHECK(reachable_porosity(3, 1.0).low == spheres.low);
+}
+
+TEST_CASE("tiles fill a box with copies that fit together") {
+  const Cube& cube = small_cube();
+  const Vec3 low(-0.5, 0.2, 1), high = low + Vec3(2.5, 2, 1.2).cwiseProduct(cube.period);
+  const Particles filled = tile(cube, low, high);
+  // Solid volume per box volume is the cube's, up to grains cut at the faces.
+  const double n = 1 - solid_volume(filled) / (high - low).prod();
+  CAPTURE(n - cube.released_porosity, filled.body_count());
+  CHECK(std::abs(n - cube.released_porosity) < 0.03);
+  const Particles whole = tile(cube, low, low + 2 * cube.period);
+  CHECK(whole.body_count() == 8 * cube.particles.body_count());
+  // No overlap at the seams larger than in the periodic cube itself.
+  PairContacts contacts(0.0015);
+  Particles copy = whole;
+  contacts.update(copy);
+  const ContactTotals totals = contacts.compute(copy, GrainMaterial{}, 1e-6);
+  PairContacts inner(0.0015, cube.period);
+  Particles alone = cube.particles;
+  inner.update(alone);
+  const ContactTotals reference = inner.compute(alone, GrainMaterial{}, 1e-6);
+  CAPTURE(totals.largest_overlap_ratio, reference.largest_overlap_ratio, totals.active, reference.active);
+  CHECK(totals.largest_overlap_ratio < 1.001 * reference.largest_overlap_ratio + 1e-9);
+  CHECK(totals.active > 6 * reference.active);
+}
+
+// Rate of the contact loop, the integrator and both, on a tiled packing under 50 kPa; prints one line a shape.
+TEST_CASE("bench: steps per second", "[.bench]") {
+  for (const int pebbles : {1, 3, 5}) {
+    CubeRequest request;
+    request.pebbles = pebbles;
+    request.porosity = 0.40;
+    request.grains = 500;
+    request.released_pressure = 45e3;
+    const Cube cube = make_cube(request);
+    const Vec3 period = 3 * cube.period;
+    FreeGrains world(0.05 * request.radius_mean, period);
+    world.particles = tile(cube, Vec3::Zero(), period);
+    world.damping = 0.7;
+    const double dt = 4e-5;
+    for (int k = 0; k < 50; ++k) world.step(dt);
+    std::array<double, 3> seconds = {};
+    // Processor time: the machine may be busy with other things.
+    const auto clock = [] { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; };
+    const int steps = 200;
+    for (int k = 0; k < steps; ++k) {
+      const auto t0 = clock();
+      world.particles.clear_forces();
+      world.contacts.update(world.particles);
+      const auto t1 = clock();
+      world.totals = world.contacts.compute(world.particles, world.material, dt);
+      const auto t2 = clock();
+      integrate(world.particles, Vec3::Zero(), dt, dt, 0.7, world.motion);
+      const auto t3 = clock();
+      seconds[0] += t1 - t0;
+      seconds[1] += t2 - t1;
+      seconds[2] += t3 - t2;
+    }
+    const double bodies = static_cast<double>(world.particles.body_count());
+    std::printf(
+        "%d pebbles, %.0f bodies, %.2f active and %.2f listed a body: %.2f M body-steps/s; ns a body-step: update "
+        "%.1f, "
+        "forces %.1f, motion %.1f; refreshes %lld, rebuilds %lld, hash %016llx\n",
+        pebbles, bodies, static_cast<double>(world.totals.active) / bodies,
+        static_cast<double>(world.contacts.entries()) / bodies,
+        1e-6 * bodies * steps / (seconds[0] + seconds[1] + seconds[2]), 1e9 * seconds[0] / bodies / steps,
+        1e9 * seconds[1] / bodies / steps, 1e9 * seconds[2] / bodies / steps,
+        static_cast<long long>(world.contacts.refreshes()), static_cast<long long>(world.contacts.rebuilds()),
+        static_cast<unsigned long long>(world.state_hash()));
+  }
+}
