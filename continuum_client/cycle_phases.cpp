@@ -30,7 +30,7 @@ void CoupledGround::send_velocities(protocol::Session& peer) {
   outgoing.energies.elastic = ledger.elastic;
   outgoing.energies.gravity_work = ledger.work.gravity;
   outgoing.energies.damped = ledger.work.damped;
-  outgoing.energies.boundary_work = ledger.work.boundary + ledger.work.baseline;
+  outgoing.energies.boundary_work = ledger.work.boundary + ledger.work.baseline + ledger.work.step_change;
   outgoing.energies.interface_work = ledger.work.interface;
   peer.send(outgoing);
 }

@@ -18,10 +18,11 @@ void Integrator::clear_ledger() {
 
 StepSums Integrator::advance(Motion& motion, const Vec3s& internal, const Vec3s& reference, const NodalLoads& loads,
                              double damping, StepSizes steps, double velocity_limit) {
-  const double dt_velocity = steps.velocity_step(), half = 0.5 * dt_velocity, limit = velocity_limit * velocity_limit;
+  const double dt_velocity = steps.velocity_step(), limit = velocity_limit * velocity_limit;
+  const double into_share = steps.into / dt_velocity;
   StepSums sums;
-  Work before, after;  // the two halves of this step's work, without factor `half`
-  double kinetic = 0, elastic = 0;
+  Work before, after;                         // the two halves of this step's work, without the half steps' length
+  double kinetic = 0, elastic = 0, jolt = 0;  // jolt: sum of m (v(n+1/2) - v(n-1/2))^2
   std::size_t next_interface = 0;
 
   for (std::size_t i = 0; i < mass_.size(); ++i) {
@@ -46,7 +47,9 @@ StepSums Integrator::advance(Motion& motion, const Vec3s& internal, const Vec3s&
     sums.unbalanced += force.norm();
     sums.internal += internal[i].norm();
     elastic += 0.5 * u.dot(reference[i] + internal[i]);
-    kinetic += 0.5 * mass_[i] * v.dot(v_new);
+    const Vec3 change = v_new - v;
+    kinetic += 0.5 * mass_[i] * v.dot(v + into_share * change);
+    jolt += mass_[i] * change.squaredNorm();
     before.gravity += weight.dot(v), after.gravity += weight.dot(v_new);
     before.damped -= drag.dot(v), after.damped -= drag.dot(v_new);
     if (has_reaction) {
@@ -67,13 +70,19 @@ StepSums Integrator::advance(Motion& motion, const Vec3s& internal, const Vec3s&
   }
 
   Work& w = ledger_.work;
-  w.gravity += rest_.gravity + half * before.gravity;
-  w.boundary += rest_.boundary + half * before.boundary;
-  w.interface += rest_.interface + half * before.interface;
-  w.baseline += rest_.baseline + half * before.baseline;
-  w.damped += rest_.damped + half * before.damped;
-  rest_ = {half * after.gravity, half * after.boundary, half * after.interface, half * after.baseline,
-           half * after.damped};
+  const double half_into = 0.5 * steps.into, half_out_of = 0.5 * steps.out_of;
+  w.gravity += rest_.gravity + half_into * before.gravity;
+  w.boundary += rest_.boundary + half_into * before.boundary;
+  w.interface += rest_.interface + half_into * before.interface;
+  w.baseline += rest_.baseline + half_into * before.baseline;
+  w.damped += rest_.damped + half_into * before.damped;
+  w.step_change += rest_.step_change;
+  rest_.gravity = half_out_of * after.gravity;
+  rest_.boundary = half_out_of * after.boundary;
+  rest_.interface = half_out_of * after.interface;
+  rest_.baseline = half_out_of * after.baseline;
+  rest_.damped = half_out_of * after.damped;
+  rest_.step_change = 0.25 * (steps.into - steps.out_of) / dt_velocity * jolt;
   ledger_.kinetic = kinetic;
   ledger_.elastic = elastic;
   return sums;

@@ -10,8 +10,13 @@
 // energy from n to n+1 is
 //   m/2 v(n+1/2) . (v(n+3/2) - v(n-1/2)) = -dt/2 v(n+1/2) . K (u(n+1) + u(n)) = -1/2 (u(n+1) - u(n)) . K (u(n+1) +
 //   u(n)),
-// minus the change of elastic energy since K is symmetric. So the ledger closes to round-off while dt is constant, and
-// its residual shows errors, not the scheme. F(n) does half of its work on each side of n.
+// minus the change of elastic energy since K is symmetric. So the ledger closes to round-off, and its residual shows
+// errors, not the scheme. F(n) does half of its work on each side of n.
+//
+// Where dt changes at n, kinetic energy at n is m/2 v(n-1/2) . (v(n-1/2) + a dt_old) seen from before and
+// m/2 v(n+1/2) . (v(n+1/2) - a dt_new) seen from after (both are the product above for one dt). They differ by
+//   m a^2 (dt_old - dt_new) (dt_old + dt_new) / 8,
+// which changing the step gives to the motion; it has its own line.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -31,10 +36,11 @@ struct Motion {
 // Work since the start of the ledger, up to n [J].
 struct Work {
   double gravity = 0;
-  double boundary = 0;   // of constant loads that stand in for released supports
-  double interface = 0;  // of the grains' contact forces
-  double baseline = 0;   // of what is left of the deleted zones' reaction, an external load while it fades out
-  double damped = 0;     // taken out by local damping
+  double boundary = 0;     // of constant loads that stand in for released supports
+  double interface = 0;    // of the grains' contact forces
+  double baseline = 0;     // of what is left of the deleted zones' reaction, an external load while it fades out
+  double damped = 0;       // taken out by local damping
+  double step_change = 0;  // by changing the time step, see the head of this file
 };
 
 struct Ledger {
@@ -45,7 +51,8 @@ struct Ledger {
   // Kinetic plus elastic energy less all work done: a constant, zero for a ledger that starts at rest in the reference
   // state [J].
   double residual() const {
-    return kinetic + elastic - work.gravity - work.boundary - work.interface - work.baseline + work.damped;
+    return kinetic + elastic - work.gravity - work.boundary - work.interface - work.baseline - work.step_change +
+           work.damped;
   }
 };
 

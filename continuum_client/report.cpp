@@ -134,6 +134,7 @@ void ResultFiles::write_summary(const RunReport& r, const std::string& title) {
                          .add("boundary_work_J", l.work.boundary)
                          .add("interface_work_J", l.work.interface)
                          .add("baseline_work_J", l.work.baseline)
+                         .add("step_change_J", l.work.step_change)
                          .add("damped_J", l.work.damped)
                          .add("residual_J", l.residual())
                          .add("residual_fraction", r.ledger_residual_fraction));

@@ -51,7 +51,7 @@ class Stages {
     peer_ = std::make_unique<protocol::Session>(std::move(channel), protocol::Role::Continuum, session);
     peer_->on_progress = [this](const protocol::Progress& p) {
       spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction);
-      progress("waiting", p.fraction);
+      progress(report_.stages.empty() ? "Hello" : report_.stages.back().name.c_str(), p.fraction);
     };
   }
 

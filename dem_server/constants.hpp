@@ -15,6 +15,9 @@ inline constexpr double cells_per_pebble = 4;
 // memory.
 inline constexpr int prefetch_distance = 32;
 
+// Sweeps that scale Gershgorin's rows; further ones gain less than a percent.
+inline constexpr int bound_sweeps = 12;
+
 // Products of the power iteration, and the share of its estimate of the stable step that is returned: the Rayleigh
 // quotient is below the largest eigenvalue, by 2 to 6 % after 30 products.
 inline constexpr int power_products = 30;
@@ -34,6 +37,17 @@ inline constexpr int relax_cycles = 3000;
 inline constexpr double relax_speed = 0.3;
 inline constexpr double relaxed_overlap = 0.005;
 
+// Growing into the gaps: relative rates of the radii up and down [1/s], steps between two changes, the pressures on the
+// facets that end the growth and the letting down [Pa], steps that they are averaged over, and a bound. Growing to a
+// few kPa would stop on the pressure of grains still in motion; keeping tens of kPa would lock stress into the sides.
+inline constexpr double grow_rate = 0.1;
+inline constexpr double release_rate = 0.02;
+inline constexpr int grow_interval = 10;
+inline constexpr double grown_pressure = 20e3;
+inline constexpr double released_pressure = 2e3;
+inline constexpr double grow_averaging = 50;
+inline constexpr int grow_cycles = 20000;
+
 // Balance: cycles under gravity before the servo may start, and the unbalanced ratio that it starts at. A servo on a
 // packing that still falls would spend its travel on what is not there yet.
 inline constexpr std::uint32_t settle_cycles = 1000;
@@ -45,14 +59,17 @@ inline constexpr double list_skin = 0.05;
 // Steps between renewals of the grains' stable step: contacts come and go slowly beside a step, and the limit has its
 // margin.
 inline constexpr std::uint32_t limit_interval = 100;
-
-// The bound that is renewed then is Gershgorin's, 0.6 to 0.75 of the true limit. Its ratio to the power iteration's estimate
-// hardly moves while contacts come and go, so it is measured this rarely, and the bound is scaled by it.
-inline constexpr std::uint32_t calibration_interval = 2000;
 inline constexpr std::uint32_t heartbeat_interval = 50;
 
 // A node's contact stiffness is told anew when it has grown by this factor.
 inline constexpr double stiffness_growth = 1.1;
+
+// A body that travels more than this many of its radii in one step is not followed by contacts any more: the run is
+// stopped.
+inline constexpr double fastest_travel = 0.5;
+
+// A body this many times farther from the middle than the scene is wide has left it: the run is stopped.
+inline constexpr double farthest = 3;
 
 // An overlap of this many radii is no contact any more: the run is stopped.
 inline constexpr double alarming_overlap = 0.5;

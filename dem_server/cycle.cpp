@@ -1,10 +1,13 @@
 // The grains' half of the coupled step. On entry x, orientations and facets are at t_n (the facets once move_facets has
-// returned), velocities and spins at t_{n-1/2}; forces at t_n use x(n) and v(n-1/2), as one monolithic explicit code would.
+// returned), velocities and spins at t_{n-1/2}; forces at t_n use x(n) and v(n-1/2), as one monolithic explicit code
+// would.
 #include "dem_server/cycle.hpp"
 
 #include <algorithm>
 #include <cmath>
 
+#include "common/checks.hpp"
+#include "dem_server/constants.hpp"
 #include "dem_server/timestep.hpp"
 
 namespace lockstep::dem {
@@ -35,17 +38,32 @@ void move(Model& m) {
   if (m.pile) m.pile->advance(m.time_step);
 }
 
-// What one contact of each body with a facet would allow, whether there is one or not: for a lever of the equivalent radius,
-// omega^2 = k (1/m + R^2/I) bounds it in any direction.
+// What one contact of each body with a facet would allow, whether there is one or not: for a lever of the equivalent
+// radius, omega^2 = k (1/m + R^2/I) bounds it in any direction.
 double first_touch_step(const Model& m, double damping) {
   double largest = 0;  // omega^2 [1/s2]
   for (std::size_t b = 0; b < m.particles.body_count(); ++b) {
     const double radius = m.particles.equivalent_radius[b];
-    const double stiffness = std::max(m.facet_material.normal_stiffness(radius), 2 * m.material.normal_stiffness(radius, radius));
+    const double stiffness =
+        std::max(m.facet_material.normal_stiffness(radius), 2 * m.material.normal_stiffness(radius, radius));
     const double shear = 1 / m.particles.mass[b] + radius * radius / m.particles.inertia[b].minCoeff();
     largest = std::max(largest, stiffness * std::max(1 / m.particles.mass[b], shear / m.material.stiffness_ratio));
   }
   return 2 / std::sqrt(largest * (1 + damping));
+}
+
+// A body that crosses half the smallest grain within a step has lost its contacts' control: instability, or absurd
+// speed.
+void check_speed(const Model& m) {
+  if (m.motion.fastest_body < 0) return;
+  const auto body = m.motion.fastest_body;
+  if (m.motion.largest_speed * m.time_step < fastest_travel * m.particles.equivalent_radius[body]) return;
+  const Vec3& x = m.particles.position[body];
+  throw NumericalError(fmt::format(
+      "step {}: grain {} at ({:.3g}, {:.3g}, {:.3g}) m moves at {:.3g} m/s, {:.2g} of its radius a step: the "
+      "grains went unstable; lower fidelity.step_fraction, or the speeds that the scene imposes",
+      m.step, body, x.x(), x.y(), x.z(), m.motion.largest_speed,
+      m.motion.largest_speed * m.time_step / m.particles.equivalent_radius[body]));
 }
 
 void book(Model& m) {
@@ -58,11 +76,12 @@ void book(Model& m) {
 bool cycle(Model& m, Boundary& boundary) {
   if (!boundary.move_facets(m)) return false;  // facets to x(n)                          (step 5 of the procedure)
   m.particles.clear_forces();
-  interface_contacts(m);                       // first, since the continuum waits for them
-  boundary.take_forces(m);                     // nodal forces F(n)                       (step 6)
+  interface_contacts(m);    // first, since the continuum waits for them
+  boundary.take_forces(m);  // nodal forces F(n)                       (step 6)
   pair_contacts(m);
   wall_contacts(m);
-  move(m);                                     // v(n+1/2), x(n+1)                        (step 7)
+  move(m);  // v(n+1/2), x(n+1)                        (step 7)
+  check_speed(m);
   book(m);
   m.time += m.time_step;
   m.last_time_step = m.time_step;
@@ -80,26 +99,19 @@ void evaluate_forces(Model& m) {
   m.last_time_step = last;
 }
 
-double StepLimit::renew(const Model& m, double damping) {
-  std::vector<ContactView> contacts;
-  const auto add = [&](const ContactView& contact) { contacts.push_back(contact); };
+StepLimit stable_step(const Model& m, double damping) {
+  StiffnessSum stiffness;
+  stiffness.reset(m.particles.body_count());
+  const auto add = [&](const ContactView& contact) { stiffness.add(contact, m.particles); };
   m.contacts.for_each_contact(add);
   m.facets.for_each_contact(add);
   m.planes.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);
 
-  StiffnessSum stiffness;
-  stiffness.reset(m.particles.body_count());
-  for (const ContactView& contact : contacts) stiffness.add(contact, m.particles);
-  const double bound = stiffness.stable_step(0, &worst_body_);
-  if (renewals_++ % (calibration_interval / limit_interval) == 0 && std::isfinite(bound))
-    calibration_ = std::max(1.0, critical_step_power(contacts, m.particles, 0) / bound);
-  step_ = calibration_ * bound / std::sqrt(1 + damping);
-  if (const double first = first_touch_step(m, damping); first < step_) {
-    step_ = first;
-    worst_body_ = -1;
-  }
-  return step_;
+  StepLimit limit;
+  limit.step = stiffness.stable_step(damping, &limit.worst_body);
+  if (const double first = first_touch_step(m, damping); first < limit.step) limit = {first, -1};
+  return limit;
 }
 
 std::uint64_t Model::hash() const {

@@ -1,7 +1,7 @@
 // One time step of the grains. cycle.cpp is the place to start reading.
 //
-// The facets are the grains' boundary. Who moves them is a Boundary: the peer's velocities in a coupled run (stages.cpp), the
-// servo while the packing is balanced (servo.hpp). Both see the same step.
+// The facets are the grains' boundary. Who moves them is a Boundary: the peer's velocities in a coupled run
+// (stages.cpp), the servo while the packing is balanced (servo.hpp). Both see the same step.
 #pragma once
 #include <cstdint>
 #include <optional>
@@ -24,7 +24,7 @@ struct Model {
   explicit Model(double skin) : contacts(skin) {}
 
   Particles particles;
-  std::vector<char> is_fixed;  // per body: held in place; empty when none is
+  std::vector<char> is_fixed;   // per body: held in place; empty when none is
   Vec3 gravity = Vec3::Zero();  // [m/s2]
   double damping = 0;           // local, of force and torque
 
@@ -36,7 +36,7 @@ struct Model {
   std::optional<Pile> pile;
 
   std::uint64_t step = 0;
-  double time = 0;           // t_n [s]
+  double time = 0;            // t_n [s]
   double last_time_step = 0;  // from n-1 to n [s]; 0 before the first step
   double time_step = 0;       // from n to n+1 [s]
 
@@ -67,21 +67,13 @@ bool cycle(Model& model, Boundary& boundary);
 // Forces at the present positions with nothing moving: brings contacts, totals and nodal forces up to date.
 void evaluate_forces(Model& model);
 
-// The largest stable step of the grains with their present contacts, walls, pile and facets included; never more than what
-// one contact of each body with a facet would allow, so that a first touch is safe. Gershgorin's bound, scaled by what the
-// power iteration has found it to fall short by (timestep.hpp).
-class StepLimit {
- public:
-  // `damping` is the largest local damping that the step must bear.
-  double renew(const Model& model, double damping);  // [s]
-  double step() const { return step_; }              // as of the last renewal [s]
-  int worst_body() const { return worst_body_; }     // -1: a first touch limits
-
- private:
-  double step_ = 0;
-  std::int32_t worst_body_ = -1;
-  double calibration_ = 1;         // true limit over bound
-  std::uint64_t renewals_ = 0;
+// A stable step of the grains with their present contacts, walls, pile and facets included (timestep.hpp); never more
+// than what one contact of each body with a facet would allow, so that a first touch is safe. `damping` is the largest
+// local damping that the step must bear.
+struct StepLimit {
+  double step = 0;               // [s]
+  std::int32_t worst_body = -1;  // -1: a first touch limits
 };
+StepLimit stable_step(const Model& model, double damping);
 
 }  // namespace lockstep::dem

@@ -44,15 +44,16 @@ void Ledger::book_energy(const Model& m) {
     now_.interface_work += interface;
     now_.friction += friction;
     now_.dashpots += dashpots;
-    work_done_ += std::abs(0.5 * (last_gravity_ + gravity)) + std::abs(0.5 * (last_boundary_ + boundary)) + std::abs(interface) +
-                  friction + dashpots + 0.5 * (last_damped_ + damped);
+    work_done_ += std::abs(0.5 * (last_gravity_ + gravity)) + std::abs(0.5 * (last_boundary_ + boundary)) +
+                  std::abs(interface) + friction + dashpots + 0.5 * (last_damped_ + damped);
   }
   last_gravity_ = gravity;
   last_damped_ = damped;
   last_boundary_ = boundary;
   last_nodal_force_ = force;
-  residual_ = now_.kinetic + now_.elastic - start_ -
-              (now_.gravity_work + now_.boundary_work + now_.interface_work - now_.damped - now_.friction - now_.dashpots);
+  residual_ =
+      now_.kinetic + now_.elastic - start_ -
+      (now_.gravity_work + now_.boundary_work + now_.interface_work - now_.damped - now_.friction - now_.dashpots);
 }
 
 void Ledger::book_momentum(const Model& m) {

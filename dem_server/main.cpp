@@ -46,8 +46,10 @@ std::pair<std::string, std::uint16_t> split_address(const std::string& text) {
   const auto colon = text.rfind(':');
   const std::string host = colon == std::string::npos ? "127.0.0.1" : text.substr(0, colon);
   const std::string port = colon == std::string::npos ? text : text.substr(colon + 1);
-  if (port.empty() || port.find_first_not_of("0123456789") != std::string::npos || port.size() > 5 || std::stoul(port) > 65535)
-    throw lockstep::InputError(fmt::format("--listen {}: the port must be a number from 0 to 65535; try --listen 127.0.0.1:0", text));
+  if (port.empty() || port.find_first_not_of("0123456789") != std::string::npos || port.size() > 5 ||
+      std::stoul(port) > 65535)
+    throw lockstep::InputError(
+        fmt::format("--listen {}: the port must be a number from 0 to 65535; try --listen 127.0.0.1:0", text));
   return {host, static_cast<std::uint16_t>(std::stoul(port))};
 }
 
@@ -77,9 +79,12 @@ int main(int argc, char** argv) {
   CLI::App app("Lockstep's discrete elements: listens for a continuum client and runs a scene with it.");
   app.footer(examples);
   app.add_option("scene", arguments.scene, "scene file, or a folder with scene.txt");
-  app.add_option("--listen", arguments.listen, "HOST:PORT; port 0 takes a free one and prints it")->capture_default_str();
-  app.add_option("--results", arguments.results, "folder for histories, ParaView files and summary; none: nothing is written");
-  app.add_option("--set", arguments.overrides, "KEY=VALUE, overrides a key of the scene; give the peer the same")->allow_extra_args(false);
+  app.add_option("--listen", arguments.listen, "HOST:PORT; port 0 takes a free one and prints it")
+      ->capture_default_str();
+  app.add_option("--results", arguments.results,
+                 "folder for histories, ParaView files and summary; none: nothing is written");
+  app.add_option("--set", arguments.overrides, "KEY=VALUE, overrides a key of the scene; give the peer the same")
+      ->allow_extra_args(false);
   app.add_option("--log", arguments.log, "file for the full log");
   app.add_option("--record", arguments.record, "file that every frame is recorded in");
   app.add_flag("--verbose", arguments.verbose, "debug messages on the console too");
@@ -95,7 +100,8 @@ int main(int argc, char** argv) {
     return 0;
   }
   try {
-    if (arguments.scene.empty()) throw InputError("no scene given; try: dem_server scenarios/grain_on_block --listen 127.0.0.1:0");
+    if (arguments.scene.empty())
+      throw InputError("no scene given; try: dem_server scenarios/grain_on_block --listen 127.0.0.1:0");
     start_log("dem_server", arguments.log, arguments.verbose);
     install_interrupt_handlers();
     return run(arguments);

@@ -10,14 +10,31 @@ namespace lockstep::dem {
 Output::Output(const Settings& settings, std::filesystem::path folder)
     : folder_(std::move(folder)), interval_(settings.history_interval) {
   if (folder_.empty()) return;
-  history_ = std::make_unique<History>(
-      folder_ / "dem_history.csv",
-      std::vector<std::string>{"step", "time [s]", "time step [s]", "S/D", "tip resistance [Pa]", "tip force [N]",
-                               "shaft force [N]", "interface force x [N]", "interface force y [N]", "interface force z [N]",
-                               "unbalanced ratio", "contacts", "interface contacts", "largest overlap [R]", "kinetic [J]",
-                               "elastic [J]", "gravity work [J]", "boundary work [J]", "interface work [J]", "damped [J]",
-                               "friction [J]", "dashpots [J]", "energy residual [J]", "vertical imbalance [N]",
-                               "neglected moment [N m]"});
+  history_ = std::make_unique<History>(folder_ / "dem_history.csv", std::vector<std::string>{"step",
+                                                                                             "time [s]",
+                                                                                             "time step [s]",
+                                                                                             "S/D",
+                                                                                             "tip resistance [Pa]",
+                                                                                             "tip force [N]",
+                                                                                             "shaft force [N]",
+                                                                                             "interface force x [N]",
+                                                                                             "interface force y [N]",
+                                                                                             "interface force z [N]",
+                                                                                             "unbalanced ratio",
+                                                                                             "contacts",
+                                                                                             "interface contacts",
+                                                                                             "largest overlap [R]",
+                                                                                             "kinetic [J]",
+                                                                                             "elastic [J]",
+                                                                                             "gravity work [J]",
+                                                                                             "boundary work [J]",
+                                                                                             "interface work [J]",
+                                                                                             "damped [J]",
+                                                                                             "friction [J]",
+                                                                                             "dashpots [J]",
+                                                                                             "energy residual [J]",
+                                                                                             "vertical imbalance [N]",
+                                                                                             "neglected moment [N m]"});
   if (settings.write_particles) particle_series_.emplace(folder_ / "particles.pvd");
   if (settings.write_contacts) contact_series_.emplace(folder_ / "contacts.pvd");
 }
@@ -36,12 +53,31 @@ void Output::record(const Model& m, double s_over_d, double ratio) {
   if (history_) {
     const GrainEnergies& e = m.ledger.energies();
     const Vec3 interface = interface_sum_ / n;
-    history_->add({static_cast<double>(m.step), m.time, m.time_step, s_over_d, tip_resistance_, tip, shaft_force_,
-                   interface.x(), interface.y(), interface.z(), ratio, static_cast<double>(m.pair_totals.active),
+    history_->add({static_cast<double>(m.step),
+                   m.time,
+                   m.time_step,
+                   s_over_d,
+                   tip_resistance_,
+                   tip,
+                   shaft_force_,
+                   interface.x(),
+                   interface.y(),
+                   interface.z(),
+                   ratio,
+                   static_cast<double>(m.pair_totals.active),
                    static_cast<double>(m.facet_totals.contacts),
-                   std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap), e.kinetic, e.elastic,
-                   e.gravity_work, e.boundary_work, e.interface_work, e.damped, e.friction, e.dashpots,
-                   m.ledger.residual(), m.ledger.vertical_imbalance(), m.facet_totals.neglected_moment});
+                   std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap),
+                   e.kinetic,
+                   e.elastic,
+                   e.gravity_work,
+                   e.boundary_work,
+                   e.interface_work,
+                   e.damped,
+                   e.friction,
+                   e.dashpots,
+                   m.ledger.residual(),
+                   m.ledger.vertical_imbalance(),
+                   m.facet_totals.neglected_moment});
   }
   samples_ = 0;
   tip_sum_ = shaft_sum_ = 0;
@@ -118,7 +154,8 @@ void Output::summary(const Json& summary) {
 double unbalanced_ratio(const Model& m) {
   const double bodies = static_cast<double>(m.particles.body_count());
   if (bodies == 0) return 0;
-  double contacts = static_cast<double>(static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts + m.plane_totals.contacts);
+  double contacts = static_cast<double>(static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts +
+                                        m.plane_totals.contacts);
   double force = m.pair_totals.normal_force + m.facet_totals.normal_force + m.plane_totals.normal_force;
   if (m.pile) {
     contacts += static_cast<double>(m.pile_totals.tip.contacts + m.pile_totals.shaft.contacts);

@@ -41,7 +41,8 @@ class Output {
   double tip_resistance_ = 0, shaft_force_ = 0;
 };
 
-// Mean unbalanced force of the bodies over the mean contact force, of the last cycle; 0 without bodies, 1 without contacts.
+// Mean unbalanced force of the bodies over the mean contact force, of the last cycle; 0 without bodies, 1 without
+// contacts.
 double unbalanced_ratio(const Model& model);
 
 }  // namespace lockstep::dem

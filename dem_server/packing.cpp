@@ -19,8 +19,9 @@ double pile_volume(const Settings& s) {
   return pi * radius * radius * s.pile->embedment;
 }
 
-// True when the body's centre stays clip_distance radii away from sides, bottom and pile, no pebble's centre lies beyond
-// them, and the centre is below the fill level. What sticks out by less is pushed back when the packing is relaxed.
+// True when the body's centre stays clip_distance radii away from sides, bottom and pile, no pebble's centre lies
+// beyond them, and the centre is below the fill level. What sticks out by less is pushed back when the packing is
+// relaxed.
 bool is_inside(const Particles& p, std::int32_t body, const Container& container, const std::optional<Pile>& pile) {
   const auto room = [&](const Vec3& x) {
     const double depth = container.depth_inside(x);
@@ -33,7 +34,8 @@ bool is_inside(const Particles& p, std::int32_t body, const Container& container
   return true;
 }
 
-// The same packing with every length times `factor`. Contact stiffness goes with the radius, so pressure and porosity stay.
+// The same packing with every length times `factor`. Contact stiffness goes with the radius, so pressure and porosity
+// stay.
 Cube magnified(const Cube& cube, double factor) {
   Cube m = cube;
   m.period *= factor;
@@ -47,7 +49,8 @@ Cube magnified(const Cube& cube, double factor) {
 Particles cut(const Cube& cube, double factor, const Settings& s, const Container& container) {
   const double reach_x = container.kind == Container::Kind::Cylinder ? container.radius : container.half_x;
   const double reach_y = container.kind == Container::Kind::Cylinder ? container.radius : container.half_y;
-  Particles p = tile(magnified(cube, factor), {-reach_x, -reach_y, container.bottom}, {reach_x, reach_y, container.top});
+  Particles p =
+      tile(magnified(cube, factor), {-reach_x, -reach_y, container.bottom}, {reach_x, reach_y, container.top});
   std::optional<Pile> pile;
   if (s.pile) pile.emplace(s.pile->shape, container.top - s.pile->embedment);
   std::vector<char> keep(p.body_count());
@@ -56,8 +59,8 @@ Particles cut(const Cube& cube, double factor, const Settings& s, const Containe
   return p;
 }
 
-// The magnification at which the cut keeps `count` grains. The count falls as factor^-3 with a scatter of whole grains, so
-// Newton's iteration on that law closes in within a few cuts; the nearest is kept.
+// The magnification at which the cut keeps `count` grains. The count falls as factor^-3 with a scatter of whole grains,
+// so Newton's iteration on that law closes in within a few cuts; the nearest is kept.
 Particles cut_to_count(const Cube& cube, std::uint32_t count, const Settings& s, const Container& container,
                        const Heartbeat& heartbeat) {
   double factor = 1;
@@ -76,10 +79,11 @@ Particles cut_to_count(const Cube& cube, std::uint32_t count, const Settings& s,
     factor *= std::cbrt(kept / count);
   }
   if (best_error > 0.01 * count)
-    throw InputError(fmt::format(
-        "grains.packing.count = {}: the container holds {} or so, not within 1 % of it; a container only a few grains wide "
-        "cannot meet every count: give {} or set count: 0 and a radius",
-        count, best.body_count(), best.body_count()));
+    throw InputError(
+        fmt::format("grains.packing.count = {}: the container holds {} or so, not within 1 % of it; a container only a "
+                    "few grains wide "
+                    "cannot meet every count: give {} or set count: 0 and a radius",
+                    count, best.body_count(), best.body_count()));
   return best;
 }
 
@@ -90,8 +94,8 @@ Assembly assemble_packing(const Settings& s, double ground_density, const Heartb
   Assembly a;
 
   // First guess of the radius for a count; cut_to_count mends it.
-  const double radius = packing.count ? std::cbrt(room * (1 - packing.porosity) / (packing.count * 4.0 / 3.0 * pi))
-                                      : packing.radius;
+  const double radius =
+      packing.count ? std::cbrt(room * (1 - packing.porosity) / (packing.count * 4.0 / 3.0 * pi)) : packing.radius;
   CubeRequest request;
   request.grains = static_cast<int>(packing.cube_grains);
   request.radius_mean = radius;
@@ -110,18 +114,13 @@ Assembly assemble_packing(const Settings& s, double ground_density, const Heartb
 
   a.particles = packing.count ? cut_to_count(cube, packing.count, s, container, heartbeat) : cut(cube, 1, s, container);
   if (a.particles.body_count() == 0)
-    throw InputError(fmt::format("grains.packing: no grain of mean radius {:.4g} m fits into the container; give a smaller "
-                                 "radius, or a larger container",
-                                 radius));
+    throw InputError(
+        fmt::format("grains.packing: no grain of mean radius {:.4g} m fits into the container; give a smaller "
+                    "radius, or a larger container",
+                    radius));
 
-  double solid = 0;
-  for (const double r : a.particles.equivalent_radius) solid += 4.0 / 3.0 * pi * r * r * r;
-  a.overall_porosity = 1 - solid / room;
-  a.solid_density = packing.match_continuum_density && ground_density > 0 ? ground_density * room / solid : s.density;
-  for (std::size_t b = 0; b < a.particles.body_count(); ++b) {
-    a.particles.mass[b] *= a.solid_density / s.density;
-    a.particles.inertia[b] *= a.solid_density / s.density;
-  }
+  a.solid_density = s.density;
+  refit(a, s, ground_density, a.particles);
   return a;
 }
 
@@ -156,6 +155,24 @@ void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
 }
 
 }  // namespace
+
+void refit(Assembly& a, const Settings& s, double ground_density, Particles& p) {
+  if (!s.packing || p.body_count() == 0) return;
+  const double room = s.packing->container.volume() - pile_volume(s);
+  double solid = 0;
+  for (const double r : p.equivalent_radius) solid += 4.0 / 3.0 * pi * r * r * r;
+  a.overall_porosity = 1 - solid / room;
+  const double density =
+      s.packing->match_continuum_density && ground_density > 0 ? ground_density * room / solid : s.density;
+  for (std::size_t b = 0; b < p.body_count(); ++b) {
+    p.mass[b] *= density / a.solid_density;
+    p.inertia[b] *= density / a.solid_density;
+  }
+  a.solid_density = density;
+  const auto& r = p.equivalent_radius;
+  a.mean_radius = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
+  a.smallest_radius = *std::min_element(r.begin(), r.end());
+}
 
 Assembly assemble(const Settings& s, double ground_density, const Heartbeat& heartbeat) {
   Assembly a;

@@ -37,7 +37,8 @@ Servo::Servo(const Model& model, std::span<const std::int32_t> ring, std::span<c
       for (const std::int32_t node : facets.nodes_of(f)) {
         node_normal_[node] += Vec3(area.x(), area.y(), 0);
         auto& of_node = node_rings_[node];
-        if (std::find(of_node.begin(), of_node.end(), r) == of_node.end()) of_node.push_back(static_cast<std::int32_t>(r));
+        if (std::find(of_node.begin(), of_node.end(), r) == of_node.end())
+          of_node.push_back(static_cast<std::int32_t>(r));
       }
     }
   }
@@ -83,12 +84,14 @@ void Servo::take_forces(Model& m) {
 
   if (!m.pile) return;
   const double area = m.pile->tip_area();
-  const double pressure = m.pile_totals.tip_force.z() / area;  // of the last step: the pile's contacts come later in a cycle
+  const double pressure =
+      m.pile_totals.tip_force.z() / area;  // of the last step: the pile's contacts come later in a cycle
   tip_pressure_ += blend * (pressure - tip_pressure_);
   tip_velocity_ = 0;
   if (is_active) {
     const double stiffness = std::max(m.pile_totals.tip_stiffness, m.pile_totals.one_contact_stiffness);
-    tip_velocity_ = stiffness > 0 ? limited(settings_.closing * (pressure - tip_target_) * area / (stiffness * time_step)) : 0;
+    tip_velocity_ =
+        stiffness > 0 ? limited(settings_.closing * (pressure - tip_target_) * area / (stiffness * time_step)) : 0;
   }
   m.pile->set_velocity(tip_velocity_);
   mean_tip_velocity_ += blend * (tip_velocity_ - mean_tip_velocity_);

@@ -81,7 +81,7 @@ PileSettings pile_of(const SceneFile& file) {
 }
 
 LatticeSettings lattice_of(const scene::Lattice& from) {
-  return {from.count_x(), from.count_y(), from.count_z(),       from.radius(),       from.overlap(),
+  return {from.count_x(), from.count_y(), from.count_z(),        from.radius(),       from.overlap(),
           from.bottom(),  from.fix_top(), from.pulse_velocity(), from.pulse_length(), from.pulse_center()};
 }
 
@@ -135,8 +135,12 @@ Settings make_settings(const SceneFile& file) {
   }
 
   const scene::Balance& balance = scene.balance();
-  s.balance = {balance.servo() == scene::Balance::RINGS, balance.damping(),           balance.tolerance(),
-               balance.servo_tolerance(),                balance.traction_tolerance(), balance.max_servo_travel(),
+  s.balance = {balance.servo() == scene::Balance::RINGS,
+               balance.damping(),
+               balance.tolerance(),
+               balance.servo_tolerance(),
+               balance.traction_tolerance(),
+               balance.max_servo_travel(),
                balance.max_cycles()};
   s.has_apply = scene.apply().max_steps() > 0;
   s.apply_damping = scene.apply().damping();

@@ -1,6 +1,7 @@
-// What dem_server needs to know of a scene, as plain structs. Meaning, unit, default and range of each value stand beside its
-// key in common/scene.proto; settings.cpp fills these from there. What several keys decide together is settled here: pebbles
-// and radii after `fidelity`, the container from hole or box, the larger of the dampings for the time step.
+// What dem_server needs to know of a scene, as plain structs. Meaning, unit, default and range of each value stand
+// beside its key in common/scene.proto; settings.cpp fills these from there. What several keys decide together is
+// settled here: pebbles and radii after `fidelity`, the container from hole or box, the larger of the dampings for the
+// time step.
 #pragma once
 #include <cstdint>
 #include <filesystem>
@@ -19,11 +20,11 @@ namespace lockstep::dem {
 // bottom is the interface.
 struct Container {
   enum class Kind { Cylinder, Box } kind = Kind::Cylinder;
-  double radius = 0;    // cylinder [m]
-  double half_x = 0;    // box [m]
-  double half_y = 0;    // box [m]
-  double bottom = 0;    // [m]
-  double top = 0;       // fill level [m]
+  double radius = 0;      // cylinder [m]
+  double half_x = 0;      // box [m]
+  double half_y = 0;      // box [m]
+  double bottom = 0;      // [m]
+  double top = 0;         // fill level [m]
   double volume() const;  // [m3]
   // Distance of a point inside to the nearest side or bottom; negative outside. The top does not count. [m]
   double depth_inside(const Vec3& point) const;
@@ -42,9 +43,9 @@ struct PackingSettings {
 
 struct LatticeSettings {
   std::uint32_t count_x = 1, count_y = 1, count_z = 1;
-  double radius = 0;          // [m]
-  double overlap = 0;         // [m]
-  double bottom = 0;          // [m]
+  double radius = 0;   // [m]
+  double overlap = 0;  // [m]
+  double bottom = 0;   // [m]
   bool fix_top = false;
   double pulse_velocity = 0;  // [m/s]
   double pulse_length = 0;    // [m]
@@ -101,11 +102,11 @@ struct Settings {
   double run_damping = 0;
   double step_damping = 0;  // the largest that the coupled run will see: the time step is held for it
 
-  double step_fraction = 0.9;            // of the stable step
-  double peer_timeout = 60;              // [s]
-  std::uint32_t hash_interval = 100;     // steps
-  std::uint32_t history_interval = 20;   // steps
-  double snapshot_interval = 0;          // S/D, or seconds without a pile
+  double step_fraction = 0.9;           // of the stable step
+  double peer_timeout = 60;             // [s]
+  std::uint32_t hash_interval = 100;    // steps
+  std::uint32_t history_interval = 20;  // steps
+  double snapshot_interval = 0;         // S/D, or seconds without a pile
   bool write_particles = true;
   bool write_contacts = true;
 };

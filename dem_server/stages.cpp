@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include "common/checks.hpp"
@@ -74,7 +75,8 @@ class GrainsRun {
   void shake_hands();
   void receive_initial_stress();
   void balance();
-  void relax(Servo& servo);
+  void relax();
+  void grow();
   void settle(Servo& servo);
   void excavate();
   void exchange();
@@ -87,6 +89,7 @@ class GrainsRun {
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
   void set_friction(double grain, double walls_and_pile_factor);
+  double renew_step();
   void watch();
   void show_progress(double unbalanced);
   void keep_last_state() noexcept;
@@ -101,12 +104,14 @@ class GrainsRun {
   protocol::InitialStress initial_;
   Assembly assembly_;
   std::unique_ptr<Model> model_;
-  StepLimit limit_;
+  StepLimit limit_;                                                 // of the grains, at Excavate
+  double balance_limit_ = std::numeric_limits<double>::infinity();  // smallest so far in Balance [s]
+  double reach_ = 0;  // of grains and interface from the origin at the start [m]
 
   protocol::Stage stage_ = protocol::Stage::Hello;
-  double pile_start_ = 0;            // tip_z at S = 0 [m]
-  double penetration_begin_ = 0;     // time at S = 0 [s]
-  double next_snapshot_ = 0;         // S/D or seconds
+  double pile_start_ = 0;               // tip_z at S = 0 [m]
+  double penetration_begin_ = 0;        // time at S = 0 [s]
+  double next_snapshot_ = 0;            // S/D or seconds
   std::vector<double> told_stiffness_;  // per node, as the peer knows it [N/m]
   Clock::time_point last_progress_{};
   Clock::time_point begin_ = Clock::now();
@@ -133,13 +138,16 @@ void GrainsRun::shake_hands() {
 void GrainsRun::receive_initial_stress() {
   stage_ = protocol::Stage::InitialStress;
   const auto begin = Clock::now();
-  session_.on_progress = [](const protocol::Progress& p) { spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction); };
+  session_.on_progress = [](const protocol::Progress& p) {
+    spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction);
+  };
   initial_ = session_.receive<protocol::InitialStress>();
   spdlog::info("stage InitialStress (paper step 1): {} nodes, {} facets, unbalanced ratio {:.1e}, after {:.1f} s",
                initial_.nodes.size(), initial_.facets.size(), initial_.unbalanced_ratio, seconds_since(begin));
   if (settings_.pile && initial_.profile.empty())
-    throw PeerError("InitialStress.profile is empty, but the scene has a pile whose tip must carry the stress of its depth; "
-                    "the peer must send the profile inside the discrete domain");
+    throw PeerError(
+        "InitialStress.profile is empty, but the scene has a pile whose tip must carry the stress of its depth; "
+        "the peer must send the profile inside the discrete domain");
   stage_done("InitialStress", begin, Json().add("nodes", static_cast<int>(initial_.nodes.size())));
 }
 
@@ -179,22 +187,27 @@ void GrainsRun::balance() {
   m.is_fixed = assembly_.is_fixed;
   m.gravity = {0, 0, -settings_.gravity};
   m.material = settings_.material;
-  m.facet_material = {settings_.material.contact_modulus, settings_.material.stiffness_ratio, settings_.interface_friction,
-                      settings_.material.damping_ratio, settings_.facet_stiffness_factor};
+  m.facet_material = {settings_.material.contact_modulus, settings_.material.stiffness_ratio,
+                      settings_.interface_friction, settings_.material.damping_ratio, settings_.facet_stiffness_factor};
   m.facets = InterfaceFacets(initial_.nodes, initial_.facets, collar);
   m.planes = Planes(settings_.planes, settings_.wall_friction);
   if (settings_.pile) m.pile.emplace(settings_.pile->shape, -settings_.pile->embedment, settings_.pile->friction);
-  spdlog::info("packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, bulk porosity {:.3f}, "
-               "overall {:.3f}",
-               m.particles.body_count(), m.particles.pebble_count(), assembly_.mean_radius, assembly_.solid_density,
-               assembly_.bulk_porosity, assembly_.overall_porosity);
+  spdlog::info(
+      "packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, bulk porosity {:.3f}, "
+      "overall {:.3f}",
+      m.particles.body_count(), m.particles.pebble_count(), assembly_.mean_radius, assembly_.solid_density,
+      assembly_.bulk_porosity, assembly_.overall_porosity);
+
+  for (const Vec3s* points : {&m.particles.position, &initial_.nodes})
+    for (const Vec3& x : *points) reach_ = std::max(reach_, x.norm());
 
   ServoSettings servo_settings;
   servo_settings.max_travel = settings_.balance.max_servo_travel * radius;
   const double tip_target = settings_.pile ? target_vertical_pressure(-settings_.pile->embedment) : 0.0;
   Servo servo(m, initial_.ring, initial_.traction, tip_target, servo_settings);
   if (settings_.balance.max_cycles > 0) {
-    relax(servo);
+    relax();
+    if (settings_.packing) grow();
     settle(servo);
   }
   m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
@@ -228,30 +241,38 @@ void GrainsRun::balance() {
         continue;
       }
       targets.push_back(ring.target), pressures.push_back(ring.pressure), depths.push_back(ring.center_z);
-      table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm", ring.center_z,
-                           ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
+      table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm",
+                           ring.center_z, ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
     }
     const double tip = m.pile ? servo.tip_pressure() * m.pile->tip_area() : 0.0;
     const double bottom_error = bottom - (weight + tip);
     spdlog::info("ring pressures:{}", table);
     if (m.pile)
-      spdlog::info("tip at z {:.3f} m carries {:.2f} kPa, handed over {:.2f} kPa; bottom {:.2f} kN = weight {:.2f} + tip {:.2f} "
-                   "{:+.2f} kN",
-                   m.pile->tip_z(), servo.tip_pressure() / 1000, servo.tip_target() / 1000, bottom / 1000, weight / 1000,
-                   tip / 1000, bottom_error / 1000);
+      spdlog::info(
+          "tip at z {:.3f} m carries {:.2f} kPa, handed over {:.2f} kPa; bottom {:.2f} kN = weight {:.2f} + tip {:.2f} "
+          "{:+.2f} kN",
+          m.pile->tip_z(), servo.tip_pressure() / 1000, servo.tip_target() / 1000, bottom / 1000, weight / 1000,
+          tip / 1000, bottom_error / 1000);
     entry.add("ring_depth_m", depths).add("ring_target_pa", targets).add("ring_pressure_pa", pressures);
     entry.add("tip_target_pa", servo.tip_target()).add("tip_pressure_pa", servo.tip_pressure());
     entry.add("bottom_force_n", bottom).add("weight_n", weight).add("bottom_error_n", bottom_error);
     entry.add("worst_ring_mismatch", servo.worst_mismatch(settings_.balance.traction_tolerance));
   }
-  spdlog::info("stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, {} cycles, {:.1f} s", reached.unbalanced_ratio,
-               reached.contacts, m.step, seconds_since(begin));
+  spdlog::info("stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, {} cycles, {:.1f} s",
+               reached.unbalanced_ratio, reached.contacts, m.step, seconds_since(begin));
   entry.add("cycles", static_cast<std::int64_t>(m.step));
   stage_done("Balance", begin, std::move(entry));
 }
 
+// The step of the next cycles of Balance. It never grows: a packing that has come loose for a moment gets its contacts
+// back sooner than the limit is looked at again.
+double GrainsRun::renew_step() {
+  balance_limit_ = std::min(balance_limit_, stable_step(*model_, settings_.balance.damping).step);
+  return settings_.step_fraction * balance_limit_;
+}
+
 // The cut leaves grains pressed into walls and pile: they are let go without gravity and friction, at limited speed.
-void GrainsRun::relax(Servo&) {
+void GrainsRun::relax() {
   Model& m = *model_;
   Held held;
   m.damping = settings_.balance.damping;
@@ -260,23 +281,66 @@ void GrainsRun::relax(Servo&) {
   double largest = 1;
   evaluate_forces(m);
   for (int n = 0; n < relax_cycles && largest > relaxed_overlap; ++n) {
-    if (n % limit_interval == 0) held.time_step = settings_.step_fraction * limit_.renew(m, m.damping);
+    if (n % limit_interval == 0) held.time_step = renew_step();
     if (!cycle(m, held)) break;
     for (Vec3& v : m.particles.velocity)
       if (const double speed = v.norm(); speed > relax_speed) v *= relax_speed / speed;
     for (std::size_t b = 0; b < m.particles.body_count(); ++b)
       if (const double speed = m.particles.spin[b].norm() * m.particles.equivalent_radius[b]; speed > relax_speed)
         m.particles.spin[b] *= relax_speed / speed;
-    largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap, m.pile_totals.all().max_overlap,
-                        m.plane_totals.max_overlap});
+    largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap,
+                        m.pile_totals.all().max_overlap, m.plane_totals.max_overlap});
     if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
   }
   m.gravity = {0, 0, -settings_.gravity};
   spdlog::info("relaxed: largest overlap {:.3f} R after {} cycles", largest, m.step);
 }
 
-// Gravity with friction between the grains but smooth walls (with rough ones the sides would carry the weight, as in a silo),
-// first with everything held, then with the servo.
+// The cut leaves gaps along walls and pile as well, and a packing that is not jammed collapses for ever under gravity.
+// So the grains are grown, with the friction that the cube was packed with and under a lid, until the whole packing
+// presses on the facets again, and let down.
+void GrainsRun::grow() {
+  Model& m = *model_;
+  Held held;
+  m.damping = settings_.balance.damping;
+  m.gravity.setZero();
+  set_friction(assembly_.preparation_friction, 0);
+  std::vector<PlaneSettings> with_lid = settings_.planes;
+  with_lid.push_back({{0, 0, settings_.packing->container.top + assembly_.mean_radius}, -Vec3::UnitZ(), Vec3::Zero()});
+  m.planes = Planes(with_lid);
+  double area = 0;
+  for (std::size_t f = 0; f < m.facets.facet_count(); ++f) area += m.facets.area_vector(f).norm();
+  double growth = 1, pressure = 0, reached = 0;
+  bool is_growing = true;
+  const std::uint64_t begin = m.step;
+  for (int n = 0; n < grow_cycles && (is_growing || pressure > released_pressure); ++n) {
+    if (n % limit_interval == 0) held.time_step = renew_step();
+    if (n % grow_interval == 0) {
+      const double change = (is_growing ? grow_rate : -release_rate) * grow_interval * held.time_step;
+      growth *= 1 + change;
+      for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+        m.particles.scale(static_cast<std::int32_t>(b), 1 + change);
+      m.particles.place_pebbles();
+    }
+    cycle(m, held);
+    pressure += (m.facet_totals.normal_force / area - pressure) / grow_averaging;
+    reached = std::max(reached, pressure);
+    is_growing = is_growing && pressure < grown_pressure;
+    if (n % heartbeat_interval == 0)
+      session_.heartbeat("growing the packing into its gaps", 0.3 + 0.1 * std::min(1.0, pressure / grown_pressure));
+  }
+  refit(assembly_, settings_, initial_.bulk_density, m.particles);
+  m.planes = Planes(settings_.planes, settings_.wall_friction);
+  m.gravity = {0, 0, -settings_.gravity};
+  spdlog::info(
+      "grown by {:.2f} % to {:.1f} kPa and let down to {:.1f} kPa in {} cycles: mean radius {:.4g} m, overall porosity "
+      "{:.3f}, solid density {:.0f} kg/m3",
+      100 * (growth - 1), reached / 1000, pressure / 1000, m.step - begin, assembly_.mean_radius,
+      assembly_.overall_porosity, assembly_.solid_density);
+}
+
+// Gravity with friction between the grains but smooth walls (with rough ones the sides would carry the weight, as in a
+// silo), first with everything held, then with the servo.
 void GrainsRun::settle(Servo& servo) {
   Model& m = *model_;
   const BalanceSettings& b = settings_.balance;
@@ -289,7 +353,7 @@ void GrainsRun::settle(Servo& servo) {
   std::uint32_t n = 0;
   bool is_balanced = false;
   for (; n < b.max_cycles && !is_balanced; ++n) {
-    if (n % limit_interval == 0) servo.time_step = settings_.step_fraction * limit_.renew(m, m.damping);
+    if (n % limit_interval == 0) servo.time_step = renew_step();
     cycle(m, servo);
     if (n % heartbeat_interval != 0) continue;
     ratio = unbalanced_ratio(m);
@@ -297,23 +361,27 @@ void GrainsRun::settle(Servo& servo) {
       servo.is_active = true;
       spdlog::info("servo on after {} cycles, unbalanced ratio {:.1e}", n, ratio);
     }
-    const bool has_servo_done =
-        !b.servo || (servo.is_active && servo.fastest() < b.servo_tolerance && servo.worst_mismatch(b.traction_tolerance) < 1);
+    const bool has_servo_done = !b.servo || (servo.is_active && servo.fastest() < b.servo_tolerance &&
+                                             servo.worst_mismatch(b.traction_tolerance) < 1);
     is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done;
     const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
     session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
     show_progress(ratio);
     watch();
     if (n % 2000 == 0)
-      spdlog::debug("balancing: cycle {}, unbalanced ratio {:.1e}, ring mismatch {:.2f}, servo speed {:.1e} m/s, tip {:.2f} kPa, "
-                   "bottom contacts {}, list builds {}",
-                   n, ratio, servo.worst_mismatch(b.traction_tolerance), servo.fastest(), servo.tip_pressure() / 1000,
-                   m.facet_totals.contacts, m.contacts.rebuilds());
+      spdlog::debug(
+          "balancing: cycle {}, unbalanced ratio {:.1e}, ring mismatch {:.2f}, servo speed {:.1e} m/s, tip {:.2f} kPa, "
+          "bottom contacts {}, list builds {}",
+          n, ratio, servo.worst_mismatch(b.traction_tolerance), servo.fastest(), servo.tip_pressure() / 1000,
+          m.facet_totals.contacts, m.contacts.rebuilds());
   }
   if (!is_balanced)
-    spdlog::warn("Balance gave up after balance.max_cycles = {}: unbalanced ratio {:.1e} (wanted {:.1e}), servo {:.1e} m/s (wanted "
-                 "{:.1e}), mismatch {:.2f} of the tolerance; give more cycles or a looser tolerance",
-                 b.max_cycles, ratio, b.tolerance, servo.fastest(), b.servo_tolerance, servo.worst_mismatch(b.traction_tolerance));
+    spdlog::warn(
+        "Balance gave up after balance.max_cycles = {}: unbalanced ratio {:.1e} (wanted {:.1e}), servo {:.1e} m/s "
+        "(wanted "
+        "{:.1e}), mismatch {:.2f} of the tolerance; give more cycles or a looser tolerance",
+        b.max_cycles, ratio, b.tolerance, servo.fastest(), b.servo_tolerance,
+        servo.worst_mismatch(b.traction_tolerance));
   spdlog::info("settled in {} cycles, {:.1f} s", n, seconds_since(begin));
 }
 
@@ -325,22 +393,30 @@ void GrainsRun::excavate() {
   Model& m = *model_;
   const auto theirs = session_.receive<protocol::ContinuumExcavated>();
   if (theirs.position_hash != 0 && theirs.position_hash != m.facets.position_hash())
-    throw PeerError(fmt::format("ContinuumExcavated.position_hash is {:016x}, but the nodes sent with InitialStress hash to {:016x}: "
-                                "the peer has moved its interface since",
-                                theirs.position_hash, m.facets.position_hash()));
-  limit_ = StepLimit();
-  limit_.renew(m, settings_.step_damping);
+    throw PeerError(fmt::format(
+        "ContinuumExcavated.position_hash is {:016x}, but the nodes sent with InitialStress hash to {:016x}: "
+        "the peer has moved its interface since",
+        theirs.position_hash, m.facets.position_hash()));
+  limit_ = stable_step(m, settings_.step_damping);
   protocol::GrainsExcavated reply;
   reply.offset = m.facets.offsets();
-  reply.stable_step = limit_.step();
-  reply.node_stiffness = told_stiffness_ = m.facets.node_stiffness();
+  reply.stable_step = limit_.step;
+  // A node that nothing touches yet counts as if one grain did: a first touch must not find too long a step.
+  double first_touch = 0;
+  for (const double radius : m.particles.equivalent_radius)
+    first_touch = std::max(first_touch, m.facet_material.normal_stiffness(radius));
+  told_stiffness_ = m.facets.node_stiffness();
+  for (double& k : told_stiffness_) k = std::max(k, first_touch);
+  reply.node_stiffness = told_stiffness_;
   reply.nodal_force = m.facets.nodal_force();
   reply.position_hash = m.facets.position_hash();
   session_.send(reply);
-  spdlog::info("stage Excavate (paper step 3): peer deleted {} zones, residual {:.1e}; stable steps {:.3e} s (grains, body {}) and "
-               "{:.3e} s (zones)",
-               theirs.zones_deleted, theirs.residual_ratio, limit_.step(), limit_.worst_body(), theirs.stable_step);
-  stage_done("Excavate", begin, Json().add("stable_step_s", limit_.step()).add("zones_deleted", theirs.zones_deleted));
+  spdlog::info(
+      "stage Excavate (paper step 3): peer deleted {} zones, residual {:.1e}; stable steps {:.3e} s (grains, body {}) "
+      "and "
+      "{:.3e} s (zones)",
+      theirs.zones_deleted, theirs.residual_ratio, limit_.step, limit_.worst_body, theirs.stable_step);
+  stage_done("Excavate", begin, Json().add("stable_step_s", limit_.step).add("zones_deleted", theirs.zones_deleted));
 }
 
 // ---------------------------------------------------------------------------------------------- steps 4 to 7
@@ -357,11 +433,13 @@ class GrainsRun::Peer : public Boundary {
     }
     m.facets.advance(velocities_.velocity, m.last_time_step);
     if (velocities_.position_hash != 0 && velocities_.position_hash != m.facets.position_hash())
-      throw PeerError(fmt::format("Velocities({}).position_hash is {:016x}, the grains hold {:016x}: the two sides no longer agree "
-                                  "where the interface is; both must do x += v * time_step in double precision",
-                                  velocities_.step, velocities_.position_hash, m.facets.position_hash()));
+      throw PeerError(
+          fmt::format("Velocities({}).position_hash is {:016x}, the grains hold {:016x}: the two sides no longer agree "
+                      "where the interface is; both must do x += v * time_step in double precision",
+                      velocities_.step, velocities_.position_hash, m.facets.position_hash()));
     m.time_step = velocities_.time_step;
-    if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply) run_.begin_penetration();
+    if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply)
+      run_.begin_penetration();
     if (run_.stage_ == protocol::Stage::Penetrate && m.pile) {
       const PileSettings& pile = *run_.settings_.pile;
       const double ramp = std::min(1.0, (m.time - run_.penetration_begin_) / pile.speed_ramp);
@@ -379,7 +457,8 @@ class GrainsRun::Peer : public Boundary {
     forces_.stable_step = stable_step_;
     forces_.is_done = run_.is_over();
     const GrainEnergies& e = m.ledger.energies();
-    forces_.energies = {e.kinetic, e.elastic, e.gravity_work, e.damped + e.dashpots, e.friction, e.boundary_work, e.interface_work};
+    forces_.energies = {e.kinetic,  e.elastic,       e.gravity_work,  e.damped + e.dashpots,
+                        e.friction, e.boundary_work, e.interface_work};
     tell_stiffness(m);
     run_.session_.send(forces_);
   }
@@ -388,11 +467,11 @@ class GrainsRun::Peer : public Boundary {
   void take_stock(Model& m) {
     ratio_ = unbalanced_ratio(m);
     if (m.step % limit_interval == 0) {
-      stable_step_ = std::min(stable_step_, run_.limit_.renew(m, run_.settings_.step_damping));
+      stable_step_ = std::min(stable_step_, stable_step(m, run_.settings_.step_damping).step);
     }
   }
 
-  void start() { stable_step_ = run_.limit_.step(); }
+  void start() { stable_step_ = run_.limit_.step; }
 
  private:
   // Node stiffness travels when one has grown by a tenth beyond what the peer knows.
@@ -430,10 +509,12 @@ void GrainsRun::begin_apply() {
 // S = 0.
 void GrainsRun::begin_penetration() {
   Model& m = *model_;
-  spdlog::info("stage Apply (paper step 4): {} steps, {:.3g} s of ground time, unbalanced ratio {:.1e}, {:.1f} s", m.step, m.time,
-               unbalanced_ratio(m), seconds_since(stage_begin_));
+  spdlog::info("stage Apply (paper step 4): {} steps, {:.3g} s of ground time, unbalanced ratio {:.1e}, {:.1f} s",
+               m.step, m.time, unbalanced_ratio(m), seconds_since(stage_begin_));
   stage_done("Apply", stage_begin_,
-             Json().add("steps", static_cast<std::int64_t>(m.step)).add("unbalanced_ratio", m.step ? unbalanced_ratio(m) : 0.0));
+             Json()
+                 .add("steps", static_cast<std::int64_t>(m.step))
+                 .add("unbalanced_ratio", m.step ? unbalanced_ratio(m) : 0.0));
   stage_ = protocol::Stage::Penetrate;
   stage_begin_ = Clock::now();
   m.damping = settings_.run_damping;
@@ -466,8 +547,8 @@ void GrainsRun::exchange() {
 }
 
 bool GrainsRun::is_over() const {
-  return interrupt_requested() || (settings_.pile && stage_ == protocol::Stage::Penetrate &&
-                                   penetration() >= settings_.pile->penetration);
+  return interrupt_requested() ||
+         (settings_.pile && stage_ == protocol::Stage::Penetrate && penetration() >= settings_.pile->penetration);
 }
 
 RunReport GrainsRun::finish() {
@@ -475,10 +556,13 @@ RunReport GrainsRun::finish() {
   end_ = session_.finish().text;
   session_.send(protocol::Message(protocol::Finish{m.step, interrupt_requested() ? "interrupted" : "done"}));
   if (stage_ == protocol::Stage::Penetrate)
-    spdlog::info("stage Velocities, Forces, Advance (paper steps 5 to 7): {} steps, S/D {:.3f}, tip {:.3g} MPa, shaft {:.3g} kN, "
-                 "{:.1f} s",
-                 m.step, s_over_d(), output_.tip_resistance() / 1e6, output_.shaft_force() / 1e3, seconds_since(stage_begin_));
-  stage_done("Penetrate", stage_begin_, Json().add("steps", static_cast<std::int64_t>(m.step)).add("s_over_d", s_over_d()));
+    spdlog::info(
+        "stage Velocities, Forces, Advance (paper steps 5 to 7): {} steps, S/D {:.3f}, tip {:.3g} MPa, shaft {:.3g} "
+        "kN, "
+        "{:.1f} s",
+        m.step, s_over_d(), output_.tip_resistance() / 1e6, output_.shaft_force() / 1e3, seconds_since(stage_begin_));
+  stage_done("Penetrate", stage_begin_,
+             Json().add("steps", static_cast<std::int64_t>(m.step)).add("s_over_d", s_over_d()));
   output_.snapshot(m, settings_);
   output_.summary(summary());
   spdlog::info("finished: {}", end_);
@@ -497,7 +581,8 @@ RunReport GrainsRun::finish() {
   r.worst_vertical_imbalance = m.ledger.worst_vertical_imbalance();
   r.worst_action_reaction = m.ledger.worst_action_reaction();
   r.kinetic_energy = m.ledger.energies().kinetic;
-  for (std::size_t b = 0; b < m.particles.body_count(); ++b) r.momentum += m.particles.mass[b] * m.particles.velocity[b];
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+    r.momentum += m.particles.mass[b] * m.particles.velocity[b];
   r.end = end_;
   return r;
 }
@@ -508,32 +593,43 @@ RunReport GrainsRun::finish() {
 void GrainsRun::watch() {
   const Model& m = *model_;
   if (!std::isfinite(m.motion.kinetic_energy)) {
-    throw NumericalError(fmt::format("step {}: the grains' kinetic energy is not finite; the run went unstable: lower "
-                                     "fidelity.step_fraction (now {})",
-                                     m.step, settings_.step_fraction));
+    throw NumericalError(
+        fmt::format("step {}: the grains' kinetic energy is not finite; the run went unstable: lower "
+                    "fidelity.step_fraction (now {})",
+                    m.step, settings_.step_fraction));
   }
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+    if (!(m.particles.position[b].norm() < farthest * reach_))
+      throw NumericalError(
+          fmt::format("step {}: grain {} has left the scene (now at {:.3g} {:.3g} {:.3g} m): it went through a wall or "
+                      "nothing holds it; close the scene with planes, or lower fidelity.step_fraction (now {})",
+                      m.step, b, m.particles.position[b].x(), m.particles.position[b].y(), m.particles.position[b].z(),
+                      settings_.step_fraction));
   const double overlap = std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap);
   if (stage_ != protocol::Stage::Balance && overlap > alarming_overlap)
-    throw NumericalError(fmt::format("step {}: an overlap of {:.2f} R is no contact any more; stiffen grains.contact_modulus (now "
-                                     "{:.3g} Pa), slow fidelity.pile_velocity down or lower fidelity.step_fraction (now {})",
-                                     m.step, overlap, settings_.material.contact_modulus, settings_.step_fraction));
+    throw NumericalError(
+        fmt::format("step {}: an overlap of {:.2f} R is no contact any more; stiffen grains.contact_modulus (now "
+                    "{:.3g} Pa), slow fidelity.pile_velocity down or lower fidelity.step_fraction (now {})",
+                    m.step, overlap, settings_.material.contact_modulus, settings_.step_fraction));
   if (m.facets.tunnelled() > 0)
-    spdlog::warn("step {}: {} pebbles have sunk more than half their radius through the interface", m.step, m.facets.tunnelled());
+    spdlog::warn("step {}: {} pebbles have sunk more than half their radius through the interface", m.step,
+                 m.facets.tunnelled());
 }
 
 void GrainsRun::show_progress(double unbalanced) {
   if (seconds_since(last_progress_) < 0.5) return;
   last_progress_ = Clock::now();
   const Model& m = *model_;
-  static constexpr const char* names[] = {"Hello", "InitialStress", "Balance", "Excavate", "Apply", "Penetrate", "Finished",
-                                          "Aborted"};
+  static constexpr const char* names[] = {"Hello", "InitialStress", "Balance",  "Excavate",
+                                          "Apply", "Penetrate",     "Finished", "Aborted"};
   const double waiting = m.profile.seconds(Phase::WaitForPeer);
   const double total = m.profile.total();
-  std::string line = fmt::format("side=grains stage={} step={} time={:.6g} unbalanced={:.3e} wait={:.3f}",
-                                 names[static_cast<int>(stage_)], m.step, m.time, unbalanced, total > 0 ? waiting / total : 0.0);
+  std::string line =
+      fmt::format("side=grains stage={} step={} time={:.6g} unbalanced={:.3e} wait={:.3f}",
+                  names[static_cast<int>(stage_)], m.step, m.time, unbalanced, total > 0 ? waiting / total : 0.0);
   if (settings_.pile && stage_ == protocol::Stage::Penetrate)
-    line += fmt::format(" fraction={:.4f} sd={:.4f} tip_kpa={:.1f}", penetration() / settings_.pile->penetration, s_over_d(),
-                        output_.tip_resistance() / 1000);
+    line += fmt::format(" fraction={:.4f} sd={:.4f} tip_kpa={:.1f}", penetration() / settings_.pile->penetration,
+                        s_over_d(), output_.tip_resistance() / 1000);
   print_progress(line);
 }
 

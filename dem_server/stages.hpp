@@ -23,18 +23,19 @@ struct RunReport {
   std::uint64_t position_hash = 0;  // of the interface nodes as the grains hold them
   std::size_t grains = 0;
   double s_over_d = 0;
-  double tip_resistance = 0;        // mean of the last history row [Pa]
-  double shaft_force = 0;           // [N]
+  double tip_resistance = 0;            // mean of the last history row [Pa]
+  double shaft_force = 0;               // [N]
   Vec3 interface_force = Vec3::Zero();  // last F(n), on the continuum [N]
-  double energy_residual = 0;       // over the work done [-]
+  double energy_residual = 0;           // over the work done [-]
   double worst_vertical_imbalance = 0;  // over the largest term [-]
   double worst_action_reaction = 0;     // over the largest force sum [-]
-  double kinetic_energy = 0;        // of the grains [J]
-  Vec3 momentum = Vec3::Zero();     // [kg m/s]
-  std::string end;                  // the continuum's words
+  double kinetic_energy = 0;            // of the grains [J]
+  Vec3 momentum = Vec3::Zero();         // [kg m/s]
+  std::string end;                      // the continuum's words
 };
 
-// Runs the session over `channel` to its end. Throws the kinds of common/checks.hpp; the peer has been told why by then.
+// Runs the session over `channel` to its end. Throws the kinds of common/checks.hpp; the peer has been told why by
+// then.
 RunReport run_grains(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options);
 
 }  // namespace lockstep::dem

@@ -50,6 +50,7 @@ double largest_eigenvalue_bound(const Matrix& d) {
 void StiffnessSum::reset(std::size_t bodies) {
   diagonal_.assign(bodies, Mat6::Zero());
   neighbors_.assign(bodies, 0.0);
+  couplings_.clear();
 }
 
 void StiffnessSum::add(const ContactView& contact, const Particles& particles) {
@@ -75,6 +76,7 @@ void StiffnessSum::add_levers(const ContactView& contact, const Particles& parti
                                    largest_eigenvalue_bound<Mat3>(h_b * h_b.transpose()));
   neighbors_[a] += product;
   neighbors_[b] += product;
+  couplings_.push_back({a, b, product});
 }
 
 double StiffnessSum::squared_frequency(std::int32_t body) const {
@@ -82,15 +84,30 @@ double StiffnessSum::squared_frequency(std::int32_t body) const {
 }
 
 double StiffnessSum::stable_step(double damping, std::int32_t* worst_body) const {
-  double largest = 0;
+  const std::size_t bodies = diagonal_.size();
+  std::vector<double> own(bodies), scale(bodies, 1.0), image(bodies);
+  for (std::size_t b = 0; b < bodies; ++b) own[b] = largest_eigenvalue_bound<Mat6>(diagonal_[b]);
+  double least = std::numeric_limits<double>::infinity();
   std::int32_t worst = -1;
-  for (std::size_t b = 0; b < diagonal_.size(); ++b) {
-    const double squared = squared_frequency(static_cast<std::int32_t>(b));
-    if (squared > largest) largest = squared, worst = static_cast<std::int32_t>(b);
+  for (int sweep = 0; sweep < bound_sweeps; ++sweep) {
+    for (std::size_t b = 0; b < bodies; ++b) image[b] = own[b] * scale[b];
+    for (const Coupling& c : couplings_) {
+      image[c.a] += c.strength * scale[c.b];
+      image[c.b] += c.strength * scale[c.a];
+    }
+    double largest = 0;
+    std::int32_t at = -1;
+    for (std::size_t b = 0; b < bodies; ++b)
+      if (const double ratio = image[b] / scale[b]; ratio > largest) largest = ratio, at = static_cast<std::int32_t>(b);
+    if (at < 0) break;  // no contact
+    if (largest < least) least = largest, worst = at;
+    // A body without contacts keeps its scale; the others turn towards Perron's vector.
+    for (std::size_t b = 0; b < bodies; ++b)
+      if (image[b] > 0) scale[b] = image[b] / largest;
   }
   if (worst_body) *worst_body = worst;
   if (worst < 0) return std::numeric_limits<double>::infinity();
-  return 2 / std::sqrt(largest * (1 + damping));
+  return 2 / std::sqrt(least * (1 + damping));
 }
 
 double critical_step_power(const std::vector<ContactView>& contacts, const Particles& particles, double damping,

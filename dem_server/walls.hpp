@@ -2,17 +2,12 @@
 //
 // One contact per grain's pebble and wall, since a plane and the pile are convex: A is the grain, B the wall.
 //
-//                 |     |                 The pile is a body of revolution about x = y = 0. In the half plane (r, z)
-//                 its
-//           shaft |     | shaft           surface is one straight piece from the axis to the rim (a flat face, or a
-//           cone) and
-//                 |     |                 one from the rim upwards without end. A centre outside has its closest point
-//                 on
-//   face -->      +-----+  <-- rim        either or on their common end, the rim; a centre inside, which only a deep
-//   overlap
-//                  \   /                  gives, is pushed out through the nearer piece. Face, cone and rim are the
-//                  tip.
-//             cone  \ /
+//                 |     |                The pile is a body of revolution about x = y = 0. In the half plane (r, z)
+//           shaft |     | shaft          its surface is one straight piece from the axis to the rim (a flat face, or
+//                 |     |                a cone) and one from the rim upwards without end. A centre outside has its
+//   face -->      +-----+  <-- rim       closest point on either or on their common end, the rim; a centre inside,
+//                  \   /                 which only a deep overlap gives, is pushed out through the nearer piece.
+//             cone  \ /                  Face, cone and rim are the tip.
 //
 //   k_n = E* 2 R_eq   the wall counts as a grain of the same size    V = v_wall - v_grain at the contact point (eq. 4)
 //   x_C = x_B + (R - U/2) n                                          (eq. 1, n towards the wall)

@@ -191,7 +191,7 @@ TEST_CASE("the ledger of an undamped free vibration closes to round-off for any 
   }
 }
 
-TEST_CASE("the ledger accounts for gravity, damping and loads at the interface") {
+TEST_CASE("the ledger accounts for gravity, damping, loads at the interface and a change of the step") {
   // A brick that is dropped onto its own supports with a load on its top: work in = energy + what damping took out.
   // Half of each step's damping work is booked on either side of n, so nothing is left over but the step change of the
   // first load.
@@ -204,10 +204,13 @@ TEST_CASE("the ledger accounts for gravity, damping and loads at the interface")
   const double dt =
       0.5 * stable_step(frequency_squared_bound(run.force.stiffness, mass, run.integrator.is_free()), 0.3);
   double worst = 0;
+  StepSizes steps{dt, dt};
   for (int n = 0; n < 500; ++n) {
+    steps.into = steps.out_of;
+    if (n == 50) steps.out_of = 0.4 * dt;
     run.force.evaluate(run.motion.displacement, run.internal);
     run.integrator.advance(run.motion, run.internal, run.force.reference, {gravity, {}, surface.node, push, fading},
-                           0.3, {dt, dt}, 1e9);
+                           0.3, steps, 1e9);
     const Ledger& l = run.integrator.ledger();
     if (n > 0) worst = std::max(worst, std::abs(l.residual()) / (std::abs(l.work.gravity) + l.work.damped));
   }
@@ -219,6 +222,7 @@ TEST_CASE("the ledger accounts for gravity, damping and loads at the interface")
   CHECK(l.work.interface > 0);
   CHECK(l.work.baseline > 0);
   CHECK(l.work.damped > 0);
+  CHECK(std::abs(l.work.step_change) > 1e-6 * l.work.damped);
 }
 
 TEST_CASE("the same run gives the same bits") {

@@ -16,7 +16,6 @@ TEST_CASE("a grain at rest presses on the block with exactly its weight") {
   CHECK(r.grains.kinetic_energy < 1e-9);
   CHECK(r.grains.worst_action_reaction < 1e-14);
   CHECK(r.grains.worst_vertical_imbalance < 1e-12);
-  CHECK(r.grains.position_hash == r.zones.position_hash);
 }
 
 TEST_CASE("an impact takes from the sphere what it gives to the block") {
@@ -32,12 +31,12 @@ TEST_CASE("an impact takes from the sphere what it gives to the block") {
   CHECK(after == Approx(before).epsilon(2e-3));
   CHECK(std::abs(r.grains.energy_residual) < 1e-3);
   CHECK(r.grains.worst_vertical_imbalance < 1e-12);
-  CHECK(r.grains.position_hash == r.zones.position_hash);
 }
 
 TEST_CASE("a pulse goes from grains into zones of equal impedance with next to no echo") {
-  // Kinetic energy of the pulse at the start: sum of m v^2/2 with v = V (1 + cos)/2 over 3.0 m of grains at pitch 0.1 m; the
-  // mean of ((1 + cos)/2)^2 is 3/8. The theory for lambda/h of 20 to 30 gives |R| near 0.006, so some 4e-5 of the energy.
+  // Kinetic energy of the pulse at the start: sum of m v^2/2 with v = V (1 + cos)/2 over 3.0 m of grains at pitch 0.1
+  // m; the mean of ((1 + cos)/2)^2 is 3/8. The theory for lambda/h of 20 to 30 gives |R| near 0.006, so some 4e-5 of
+  // the energy.
   const Reports r = run_in_process("bar");
   const double mass = 2650 * 4.0 / 3.0 * pi * std::pow(0.05, 3);
   const double before = 0.5 * mass * 0.01 * 0.01 * 3.0 / 8.0 * 3.0 / 0.1;
@@ -46,7 +45,6 @@ TEST_CASE("a pulse goes from grains into zones of equal impedance with next to n
   CAPTURE(echo, passed, r.grains.energy_residual, r.zones.ledger_residual_fraction);
   CHECK(echo < 5e-4);
   CHECK(passed == Approx(1).margin(0.02));
-  CHECK(r.grains.position_hash == r.zones.position_hash);
 }
 
 TEST_CASE("a box of grains settles the block under it by W/A h/M") {
@@ -59,7 +57,6 @@ TEST_CASE("a box of grains settles the block under it by W/A h/M") {
   CHECK(r.grains.grains == Approx(600).epsilon(0.01));
   CHECK(r.zones.jump.mean == Approx(expected).epsilon(0.05));
   CHECK(r.grains.worst_vertical_imbalance < 1e-10);
-  CHECK(r.grains.position_hash == r.zones.position_hash);
 }
 
 TEST_CASE("the same scene gives the same bits twice") {
