@@ -41,7 +41,11 @@ class Held : public Boundary {
 class GrainsRun {
  public:
   GrainsRun(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options)
-      : scene_(scene), settings_(make_settings(scene)), output_(settings_, options.results), session_([&] {
+      : scene_(scene),
+        settings_(make_settings(scene)),
+        output_(settings_, options.results),
+        prints_progress_(options.prints_progress),
+        session_([&] {
           protocol::SessionSettings s;
           s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings_.peer_timeout));
           s.record_path = options.record_path;
@@ -85,13 +89,16 @@ class GrainsRun {
   void begin_apply();
   void begin_penetration();
   bool is_over() const;
-  double penetration() const { return settings_.pile ? pile_start_ - model_->pile->tip_z() : 0.0; }
+  double penetration() const {
+    return stage_ >= protocol::Stage::Apply && settings_.pile ? pile_start_ - model_->pile->tip_z() : 0.0;
+  }
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
   void set_friction(double grain, double walls_and_pile_factor);
   double renew_step();
   void watch();
   void show_progress(double unbalanced);
+  void show_packing(double fraction);
   void keep_last_state() noexcept;
   void stage_done(const std::string& name, Clock::time_point begin, Json entry);
   Json summary();
@@ -99,6 +106,7 @@ class GrainsRun {
   SceneFile scene_;
   Settings settings_;
   Output output_;
+  bool prints_progress_;
   Session session_;
 
   protocol::InitialStress initial_;
@@ -116,9 +124,10 @@ class GrainsRun {
   Clock::time_point last_progress_{};
   Clock::time_point begin_ = Clock::now();
   Clock::time_point stage_begin_ = Clock::now();
-  double last_wait_ = 0;
+  double stage_fraction_ = 0;  // of Balance
   Json stages_;
   std::string end_;
+  RunReport report_;
 };
 
 // ------------------------------------------------------------------------------------------------ Hello, steps 1 and 2
@@ -177,7 +186,7 @@ void GrainsRun::balance() {
   const auto begin = Clock::now();
   assembly_ = assemble(settings_, initial_.bulk_density, [this](std::string_view text, double fraction) {
     session_.heartbeat(text, 0.2 * fraction);
-    print_progress(fmt::format("side=grains stage=Balance fraction={:.3f} text={}", 0.2 * fraction, "packing"));
+    show_packing(0.2 * fraction);
   });
   const double radius = assembly_.mean_radius > 0 ? assembly_.mean_radius : 1.0;
   const double collar = settings_.pile ? 2 * settings_.pile->shape.radius : 0.0;
@@ -256,7 +265,9 @@ void GrainsRun::balance() {
     entry.add("ring_depth_m", depths).add("ring_target_pa", targets).add("ring_pressure_pa", pressures);
     entry.add("tip_target_pa", servo.tip_target()).add("tip_pressure_pa", servo.tip_pressure());
     entry.add("bottom_force_n", bottom).add("weight_n", weight).add("bottom_error_n", bottom_error);
-    entry.add("worst_ring_mismatch", servo.worst_mismatch(settings_.balance.traction_tolerance));
+    report_.ring_mismatch = servo.worst_mismatch(settings_.balance.traction_tolerance);
+    report_.bottom_error = bottom_error / weight;
+    entry.add("worst_ring_mismatch", report_.ring_mismatch);
   }
   spdlog::info("stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, {} cycles, {:.1f} s",
                reached.unbalanced_ratio, reached.contacts, m.step, seconds_since(begin));
@@ -366,6 +377,7 @@ void GrainsRun::settle(Servo& servo) {
     is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done;
     const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
     session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
+    stage_fraction_ = 0.3 + 0.7 * fraction;
     show_progress(ratio);
     watch();
     if (n % 2000 == 0)
@@ -567,7 +579,7 @@ RunReport GrainsRun::finish() {
   output_.summary(summary());
   spdlog::info("finished: {}", end_);
 
-  RunReport r;
+  RunReport& r = report_;
   r.steps = m.step;
   r.time = m.time;
   r.state_hash = m.hash();
@@ -617,7 +629,7 @@ void GrainsRun::watch() {
 }
 
 void GrainsRun::show_progress(double unbalanced) {
-  if (seconds_since(last_progress_) < 0.5) return;
+  if (!prints_progress_ || seconds_since(last_progress_) < 0.5) return;
   last_progress_ = Clock::now();
   const Model& m = *model_;
   static constexpr const char* names[] = {"Hello", "InitialStress", "Balance",  "Excavate",
@@ -630,7 +642,15 @@ void GrainsRun::show_progress(double unbalanced) {
   if (settings_.pile && stage_ == protocol::Stage::Penetrate)
     line += fmt::format(" fraction={:.4f} sd={:.4f} tip_kpa={:.1f}", penetration() / settings_.pile->penetration,
                         s_over_d(), output_.tip_resistance() / 1000);
+  else if (stage_ == protocol::Stage::Balance)
+    line += fmt::format(" fraction={:.4f}", stage_fraction_);
   print_progress(line);
+}
+
+void GrainsRun::show_packing(double fraction) {
+  if (!prints_progress_ || seconds_since(last_progress_) < 0.5) return;
+  last_progress_ = Clock::now();
+  print_progress(fmt::format("side=grains stage=Balance fraction={:.3f}", fraction));
 }
 
 void GrainsRun::keep_last_state() noexcept {
@@ -651,7 +671,11 @@ void GrainsRun::stage_done(const std::string& name, Clock::time_point begin, Jso
 Json GrainsRun::summary() {
   const Model& m = *model_;
   Json j;
-  j.add("program", "dem_server").add("version", lockstep_version()).add("title", settings_.title).add("end", end_);
+  j.add("program", "dem_server")
+      .add("version", lockstep_version())
+      .add("scene_digest", scene_.digest)
+      .add("title", settings_.title)
+      .add("end", end_);
   j.add("seconds", seconds_since(begin_)).add("stages", stages_);
   j.add("grains", static_cast<std::int64_t>(m.particles.body_count()))
       .add("pebbles", static_cast<std::int64_t>(m.particles.pebble_count()))

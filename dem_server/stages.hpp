@@ -13,6 +13,7 @@ namespace lockstep::dem {
 struct RunOptions {
   std::filesystem::path results;  // folder; empty: nothing is written
   std::string record_path;        // recording of every frame; empty: none
+  bool prints_progress = true;    // "@progress" lines
 };
 
 // What a run came to, for tests and for main's last words.
@@ -22,6 +23,8 @@ struct RunReport {
   std::uint64_t state_hash = 0;     // of the whole state of the grains at the end
   std::uint64_t position_hash = 0;  // of the interface nodes as the grains hold them
   std::size_t grains = 0;
+  double ring_mismatch = 0;  // at the end of Balance, worst side ring or tip, over its tolerance [-]
+  double bottom_error = 0;   // at the end of Balance: bottom - (weight + tip), over the weight [-]
   double s_over_d = 0;
   double tip_resistance = 0;            // mean of the last history row [Pa]
   double shaft_force = 0;               // [N]

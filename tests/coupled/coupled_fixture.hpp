@@ -1,6 +1,6 @@
-// Both solvers in this process, over the in-memory channel, and both programs as processes of their own, over TCP.
+// Both solvers in this process, over the in-memory channel.
 #pragma once
-#include <sys/types.h>
+#include <spdlog/spdlog.h>
 
 #include <exception>
 #include <filesystem>
@@ -26,12 +26,15 @@ struct Reports {
 
 // Runs a scene with both sides in this process; the first error of either side is thrown on.
 inline Reports run_in_process(const SceneFile& scene) {
+  spdlog::set_level(spdlog::level::warn);
   auto [server, client] = protocol::make_loopback();
   Reports reports;
   std::exception_ptr grains_failed, zones_failed;
   std::thread grains([&, channel = std::move(server)]() mutable {
     try {
-      reports.grains = dem::run_grains(scene, std::move(channel), {});
+      dem::RunOptions options;
+      options.prints_progress = false;
+      reports.grains = dem::run_grains(scene, std::move(channel), options);
     } catch (...) {
       grains_failed = std::current_exception();
     }
