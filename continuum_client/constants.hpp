@@ -22,7 +22,9 @@ inline constexpr double solver_tolerance = 1e-13;
 inline constexpr double solver_acceptance = 1e-9;
 // Or below this many times the rounding of one product per node: sums have some eighty of them.
 inline constexpr double solver_rounding = 32;
-// Iterations without a lower residual after which a round of conjugate gradients has given all it can (and at least the
+// An iteration that lowers the energy by this share of what all have gained is progress too.
+inline constexpr double solver_least_gain = 1e-12;
+// Iterations without a lower residual or such a gain after which a round of conjugate gradients has given all it can (and at least the
 // square root of the number of nodes).
 inline constexpr int solver_patience = 200;
 // Most iterations per degree of freedom's square root would do; this many per node is a sure sign of a broken mesh.

@@ -47,7 +47,7 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
   // their conjugacy, on flat zones above all.
   while (report.iterations < most) {
     const double before = report.relative_residual;
-    double rz = 0, best = std::numeric_limits<double>::infinity();
+    double rz = 0, gained = 0, best = std::numeric_limits<double>::infinity();
     for (int since_best = 0; since_best < patience && report.iterations < most; ++report.iterations) {
       for (std::size_t i = 0; i < count; ++i) z[i] = (inverse[i] * r[i]).cwiseProduct(is_free[i]);
       const double rz_new = dot(r, z), b = rz > 0 ? rz_new / rz : 0.0;
@@ -61,7 +61,9 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
       for (std::size_t i = 0; i < count; ++i) u[i] += a * p[i], r[i] -= a * kp[i];
       const double residual = std::sqrt(dot(r, r)) / load;
       if (residual < solver_tolerance) break;
-      since_best = residual < best ? 0 : since_best + 1;
+      // The residual may rise for hundreds of iterations while the energy still falls.
+      gained += a * rz;
+      since_best = residual < best || a * rz > solver_least_gain * gained ? 0 : since_best + 1;
       best = std::min(best, residual);
       if (progress)
         progress(fmt::format("solving for the initial stress, residual {:.1e}", residual),

@@ -1,18 +1,18 @@
-// The ground of a coupled run: an elastic brick with a hole full of grains.
+// continuum_client: the ground of a coupled run, an elastic brick with a hole full of grains.
 //
-//        z = 0  ____________________        The zones (explicit finite differences) fill the brick around and below the
-//        hole; the
-//              |      : | | :      |        grains in it, and the pile that is pushed into them, belong to dem_server.
-//              At each | zones: |#| :zones |        time step this program sends the velocities of the hole's walls and
-//              receives the |      :.|_|.:      |        forces that the grains press on them with. |      :o8o8o: | |
-//              :8o8o8:      |        # pile   o 8 grains   : . interface |      '''''''      |
-//              |____________________|
+//   z = 0  ____________________
+//         |      : | | :      |      The zones (explicit finite differences) fill the brick around and below the hole;
+//         | zones: |#| :zones |      the grains in it, and the pile that is pushed into them, belong to dem_server.
+//         |      :.|_|.:      |      At each time step this program sends the velocities of the hole's walls and
+//         |      :o8o8o:      |      receives the forces that the grains press on them with.
+//         |      :8o8o8:      |
+//         |      '''''''      |      # pile   o 8 grains   : . interface
+//         |____________________|
 //
-//   continuum_client --keys                                       every key of a scene, with unit, default and range
-//   continuum_client scenarios/pile --connect 127.0.0.1:40000 --results out
-//   continuum_client scenarios/pile --connect 127.0.0.1:40000 --set fidelity.pile_velocity=0.3
-//
-// Exit codes: 0 done, 1 input, 2 file or port, 3 peer or protocol, 4 numerical, 5 internal, 130 interrupted.
+// It connects to a dem_server that listens. In two terminals:
+//   dem_server scenarios/grain_on_block --listen 127.0.0.1:4711
+//   continuum_client scenarios/grain_on_block --connect 127.0.0.1:4711 --results out
+// Any program that speaks protocol/coupling.proto may take the server's place.
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
@@ -23,7 +23,9 @@
 #include "common/checks.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
+#include "common/results.hpp"
 #include "common/scene.hpp"
+#include "continuum_client/settings.hpp"
 #include "continuum_client/stages.hpp"
 #include "protocol/tcp_channel.hpp"
 
@@ -52,6 +54,8 @@ Address parse_address(const std::string& text) {
 int run(const std::string& scene_path, const std::vector<std::string>& overrides, const std::string& address,
         const std::string& results, const continuum::RunOptions& options) {
   const SceneFile scene = read_scene(scene_path, overrides);
+  continuum::read_settings(scene);  // what is wrong with the scene or the folder is said before a peer is involved
+  if (!results.empty()) prepare_folder(results);
   std::unique_ptr<protocol::Channel> channel;
   if (!address.empty()) {
     const Address a = parse_address(address);
@@ -64,7 +68,9 @@ int run(const std::string& scene_path, const std::vector<std::string>& overrides
                                  scene.path.string()));
   }
   const continuum::RunReport report = continuum::run_continuum(scene, results, std::move(channel), options);
-  return static_cast<int>(report.is_interrupted ? ExitCode::Interrupted : ExitCode::Success);
+  // An interrupt may come in the very step with which the grains end the run.
+  const bool is_interrupted = report.is_interrupted || interrupt_requested();
+  return static_cast<int>(is_interrupted ? ExitCode::Interrupted : ExitCode::Success);
 }
 
 }  // namespace
@@ -73,8 +79,9 @@ int main(int argc, char** argv) {
   CLI::App app{"The ground of a coupled run: explicit finite differences around a hole full of grains (dem_server)."};
   app.footer(
       "Examples:\n"
-      "  continuum_client --keys\n"
-      "  continuum_client scenarios/pile --connect 127.0.0.1:40000 --results out\n"
+      "  continuum_client scenarios/grain_on_block --connect 127.0.0.1:4711 --results runs/by_hand\n"
+      "  continuum_client scenarios/grain_on_block --connect 127.0.0.1:4711 --set run.duration=0.1 --set seed=7\n"
+      "  continuum_client --keys         (every key of a scene with unit, default and range)\n"
       "Exit codes: 0 done, 1 input, 2 file or port, 3 peer or protocol, 4 numerical, 5 internal, 130 interrupted.");
   std::string scene, address, results, log;
   std::vector<std::string> overrides;
@@ -83,10 +90,13 @@ int main(int argc, char** argv) {
   app.add_option("SCENE", scene, "scene file, or a folder with scene.txt");
   app.add_option("--connect", address, "HOST:PORT of dem_server; not for scenes without grains");
   app.add_option("--results", results, "folder for result files; none are written without it");
-  app.add_option("--set", overrides, "key=value over the scene's; may be repeated")->take_all();
+  app.add_option("--set", overrides, "KEY=VALUE, overrides a key of the scene; give the peer the same")
+      ->allow_extra_args(false);
   app.add_option("--log", log, "file for the full log");
   app.add_flag("--verbose", is_verbose, "more on the console");
   app.add_option("--record", options.record_path, "file for every frame sent and received");
+  app.add_flag("--progress", options.prints_progress,
+               "\"@progress key=value ...\" lines on standard output, as tools/run reads them");
   app.add_flag("--keys", lists_keys, "list every key of a scene and stop");
   app.set_version_flag("--version", [] { return fmt::format("continuum_client {}", lockstep_version()); });
   try {
@@ -99,8 +109,9 @@ int main(int argc, char** argv) {
       std::cout << list_keys();
       return 0;
     }
+    start_log("continuum_client", {}, is_verbose);  // errors before the log file is open go to the console
     if (scene.empty()) throw InputError("no scene: say continuum_client SCENE, or --help");
-    start_log("continuum_client", log, is_verbose);
+    if (!log.empty()) start_log("continuum_client", log, is_verbose);
     install_interrupt_handlers();
     return run(scene, overrides, address, results, options);
   } catch (const Error& e) {

@@ -14,8 +14,8 @@ ResultFiles::ResultFiles(const std::filesystem::path& folder, bool writes_zones)
       folder_ / "continuum_history.csv",
       std::vector<std::string>{"step [-]", "time [s]", "time step [s]", "unbalanced ratio [-]", "kinetic [J]",
                                "elastic [J]", "gravity work [J]", "boundary work [J]", "interface work [J]",
-                               "baseline work [J]", "damped [J]", "ledger residual [J]", "interface force z [N]",
-                               "baseline force z [N]", "largest displacement [m]"});
+                               "baseline work [J]", "damped [J]", "ledger residual [J]",
+                               "interface force on ground z [N]", "baseline force z [N]", "largest displacement [m]"});
   series_ = std::make_unique<Series>(folder_ / "zones.pvd");
 }
 

@@ -62,9 +62,11 @@ class Stages {
         couple();
       } catch (const Error& e) {
         peer_->abort(static_cast<int>(e.code()), e.what());
+        keep_last_state(e.what());
         throw;
       } catch (const std::exception& e) {
         peer_->abort(static_cast<int>(ExitCode::Internal), e.what());
+        keep_last_state(e.what());
         throw;
       }
     } else {
@@ -289,7 +291,7 @@ class Stages {
     const double begin = ground_.time;
     double next_snapshot = settings_.snapshot_interval;
     bool is_done = false;
-    while (!is_done && !stop_requested()) {
+    while (!stop_requested() && !is_done) {
       if (!settings_.has_pile && ground_.time - begin > settings_.duration - 0.5 * ground_.step_sizes.out_of) break;
       cycle(ground_, *peer_);
       is_done = ground_.incoming.is_done;
@@ -311,10 +313,12 @@ class Stages {
     begin_stage("Finish");
     protocol::Finish mine;
     mine.step = ground_.step;
+    mine.is_interrupted = report_.is_interrupted;
     mine.text = report_.is_interrupted ? "the user of the continuum interrupted the run" : "done";
     peer_->send(protocol::Message(mine));
     const auto theirs = peer_->receive<protocol::Finish>();
     report_.finish_text = theirs.text;
+    report_.is_interrupted |= theirs.is_interrupted;
     report_.seconds_waiting = peer_->seconds_waiting();
     report_.bytes_sent = peer_->bytes_sent(), report_.bytes_received = peer_->bytes_received();
     end_stage(fmt::format("peer says: {}", theirs.text));
@@ -434,6 +438,18 @@ class Stages {
     print_progress(fmt::format("side=continuum stage={} step={} time={:.6g} fraction={:.4f} wait={:.3f}", stage,
                                ground_.step, ground_.time, std::clamp(fraction, 0.0, 1.0),
                                peer_ && all > 0 ? peer_->seconds_waiting() / all : 0.0));
+  }
+
+  // The summary of a run that failed after it had begun to step.
+  void keep_last_state(const std::string& why) noexcept {
+    try {
+      if (ground_.step == 0) return;
+      report_.finish_text = why;
+      conclude();
+      files_.write_summary(report_, settings_.title);
+    } catch (const std::exception& error) {
+      spdlog::error("the summary could not be written: {}", error.what());
+    }
   }
 
   bool stop_requested() {

@@ -16,8 +16,8 @@
 namespace lockstep::continuum {
 
 struct RunOptions {
-  std::string record_path;      // every frame is recorded there if not empty
-  bool prints_progress = true;  // "@progress" lines
+  std::string record_path;       // every frame is recorded there if not empty
+  bool prints_progress = false;  // "@progress" lines
 };
 
 // Runs a session over `channel`; null for a scene without grains. `results_folder` may be empty: then no file is

@@ -27,6 +27,9 @@ inline constexpr double power_margin = 0.95;
 // gaps along the walls and collapses; at 0.45 it is just not jammed once relaxed.
 inline constexpr double clip_distance = 0.45;
 
+// Walls order the grains beside them over this many radii; bulk porosity is measured farther away.
+inline constexpr double wall_order = 3;
+
 // Trials of the cube's magnification until the count is met, and how near is near enough.
 inline constexpr int count_trials = 24;
 inline constexpr double count_tolerance = 0.001;
@@ -53,6 +56,9 @@ inline constexpr int grow_cycles = 20000;
 inline constexpr std::uint32_t settle_cycles = 1000;
 inline constexpr double servo_start_ratio = 0.02;
 
+// A Balance that ends above its tolerance goes on with a warning, but not above this ratio: such a packing is in motion.
+inline constexpr double hopeless_ratio = 0.05;
+
 // Inner list's skin over the mean radius: renewed every few tens of steps, nine of ten entries touch.
 inline constexpr double list_skin = 0.05;
 
@@ -71,7 +77,8 @@ inline constexpr double fastest_travel = 0.5;
 // A body this many times farther from the middle than the scene is wide has left it: the run is stopped.
 inline constexpr double farthest = 3;
 
-// An overlap of this many radii is no contact any more: the run is stopped.
-inline constexpr double alarming_overlap = 0.5;
+// An overlap of this many radii is no contact any more: the run is stopped. The paper's contact stiffness is soft: 0.3 is reached
+// under its pile's tip.
+inline constexpr double alarming_overlap = 0.9;
 
 }  // namespace lockstep::dem

@@ -9,6 +9,13 @@
 
 namespace lockstep::dem {
 
+namespace {
+
+// Entries of the inner list that are worked on together; the next block is fetched meanwhile.
+constexpr std::size_t pair_block = prefetch_distance;
+
+}  // namespace
+
 PairContacts::PairContacts(double skin, std::optional<Vec3> period) : skin_(skin), period_(period) {
   LOCKSTEP_ASSERT(skin > 0, "skin {}", skin);
 }
@@ -115,69 +122,85 @@ void PairContacts::refresh_inner() {
 //   V               velocity of B there less that of A               (paper eq. 4)
 //   the law         contact_law.hpp                                  (eqs 3, 8-11)
 //   loads           force and moment about each centre of mass       (eq. 12)
+// Block by block: which entries touch, without a branch to mispredict; their distances, all roots and divisions under
+// way at once; then the contacts one after the other. Flattened, since the law as a call costs a fifth of the loop.
 template <bool is_periodic, bool has_dashpot>
-ContactTotals PairContacts::compute_pairs(double time_step) {
+[[gnu::flatten]] ContactTotals PairContacts::compute_pairs(double time_step) {
   ContactTotals totals;
   const std::size_t count = pairs_.size();
   const Vec3 period = is_periodic ? *period_ : Vec3::Zero();
   const double shear_share = 1 / material_.stiffness_ratio;
   double energy = 0;  // twice the elastic energy
-  for (std::size_t k = 0; k < count; ++k) {
-    if (k + prefetch_distance < count) {
-      const PebblePair& ahead = pairs_[k + prefetch_distance];
+  std::array<std::size_t, pair_block> touching, parted;
+  std::array<Vec3, pair_block> apart;  // x_j - x_i of those that touch
+  std::array<double, pair_block> distances, inverses;
+  for (std::size_t begin = 0; begin < count; begin += pair_block) {
+    std::size_t touching_count = 0, parted_count = 0;
+    for (std::size_t k = begin; k < std::min(begin + pair_block, count); ++k) {
+      const PebblePair& ahead = pairs_[std::min(k + pair_block, count - 1)];
       __builtin_prefetch(&pebbles_[ahead.j]);
       __builtin_prefetch(&bodies_[ahead.b]);
       __builtin_prefetch(&loads_[ahead.b], 1);
+      const PebbleRecord &pi = pebbles_[pairs_[k].i], &pj = pebbles_[pairs_[k].j];
+      Vec3 d(pj.x - pi.x, pj.y - pi.y, pj.z - pi.z);
+      if constexpr (is_periodic)
+        for (int axis = 0; axis < 3; ++axis) d[axis] += image_[k][axis] * period[axis];
+      const double reach = pi.radius + pj.radius, square = d.squaredNorm();
+      const bool is_touching = square < reach * reach;
+      apart[touching_count] = d;
+      distances[touching_count] = square;
+      touching[touching_count] = parted[parted_count] = k;
+      touching_count += is_touching;
+      parted_count += !is_touching;
     }
-    const PebblePair& pair = pairs_[k];
-    const PebbleRecord &pi = pebbles_[pair.i], &pj = pebbles_[pair.j];
-    Vec3 d(pj.x - pi.x, pj.y - pi.y, pj.z - pi.z);
-    if constexpr (is_periodic)
-      for (int axis = 0; axis < 3; ++axis) d[axis] += image_[k][axis] * period[axis];
-    const double reach = pi.radius + pj.radius, square = d.squaredNorm();
-    ContactHistory& history = history_[k];
-    if (!(square < reach * reach)) {
-      history = ContactHistory{};
-      continue;
+    for (std::size_t n = 0; n < parted_count; ++n) history_[parted[n]] = ContactHistory{};
+    for (std::size_t n = 0; n < touching_count; ++n) {
+      distances[n] = std::sqrt(distances[n]);
+      inverses[n] = 1 / distances[n];
     }
-    const double distance = std::sqrt(square);
-    const double overlap = reach - distance;
-    const Vec3 normal = d * (1 / distance);
 
-    const BodyRecord &a = bodies_[pair.a], &b = bodies_[pair.b];
-    const double arm_i = pi.radius - 0.5 * overlap, arm_j = pj.radius - 0.5 * overlap;
-    const Vec3 lever_a = Vec3(pi.lever_x, pi.lever_y, pi.lever_z) + arm_i * normal;
-    const Vec3 lever_b = Vec3(pj.lever_x, pj.lever_y, pj.lever_z) - arm_j * normal;
-    const Vec3 relative_velocity = Vec3(b.vx - a.vx, b.vy - a.vy, b.vz - a.vz) + Vec3(b.wx, b.wy, b.wz).cross(lever_b) -
-                                   Vec3(a.wx, a.wy, a.wz).cross(lever_a);
+    for (std::size_t n = 0; n < touching_count; ++n) {
+      const PebblePair& pair = pairs_[touching[n]];
+      const PebbleRecord &pi = pebbles_[pair.i], &pj = pebbles_[pair.j];
+      ContactHistory& history = history_[touching[n]];
+      const double overlap = pi.radius + pj.radius - distances[n];
+      const Vec3 normal = apart[n] * inverses[n];
 
-    ContactMaterial pair_material;
-    pair_material.normal_stiffness = material_.normal_stiffness(a.equivalent_radius, b.equivalent_radius);
-    pair_material.shear_stiffness = pair_material.normal_stiffness * shear_share;
-    pair_material.friction = material_.friction;
-    if constexpr (has_dashpot)
-      pair_material.normal_dashpot =
-          pair_dashpot(material_.damping_ratio, pair_material.normal_stiffness, a.mass, b.mass);
-    const ContactResult result = contact_force(pair_material, normal, overlap, relative_velocity, time_step, history);
+      const BodyRecord &a = bodies_[pair.a], &b = bodies_[pair.b];
+      const double arm_i = pi.radius - 0.5 * overlap, arm_j = pj.radius - 0.5 * overlap;
+      const Vec3 lever_a = Vec3(pi.lever_x, pi.lever_y, pi.lever_z) + arm_i * normal;
+      const Vec3 lever_b = Vec3(pj.lever_x, pj.lever_y, pj.lever_z) - arm_j * normal;
+      const Vec3 relative_velocity = Vec3(b.vx - a.vx, b.vy - a.vy, b.vz - a.vz) +
+                                     Vec3(b.wx, b.wy, b.wz).cross(lever_b) - Vec3(a.wx, a.wy, a.wz).cross(lever_a);
 
-    const Vec3& force = result.force_on_a;
-    const Vec3 torque_a = lever_a.cross(force), torque_b = lever_b.cross(force);
-    Load& on_a = loads_[pair.a];
-    on_a.fx += force.x(), on_a.fy += force.y(), on_a.fz += force.z();
-    on_a.tx += torque_a.x(), on_a.ty += torque_a.y(), on_a.tz += torque_a.z();
-    Load& on_b = loads_[pair.b];
-    on_b.fx -= force.x(), on_b.fy -= force.y(), on_b.fz -= force.z();
-    on_b.tx -= torque_b.x(), on_b.ty -= torque_b.y(), on_b.tz -= torque_b.z();
+      ContactMaterial pair_material;
+      pair_material.normal_stiffness = material_.normal_stiffness(a.equivalent_radius, b.equivalent_radius);
+      pair_material.shear_stiffness = pair_material.normal_stiffness * shear_share;
+      pair_material.friction = material_.friction;
+      if constexpr (has_dashpot)
+        pair_material.normal_dashpot =
+            pair_dashpot(material_.damping_ratio, pair_material.normal_stiffness, a.mass, b.mass);
+      const ContactResult result = contact_force(pair_material, normal, overlap, relative_velocity, time_step, history);
 
-    ++totals.active;
-    totals.normal_force += result.normal_force;
-    totals.contact_force += force.norm();
-    energy += pair_material.normal_stiffness * overlap * overlap +
-              history.spring.squaredNorm() / pair_material.shear_stiffness;
-    totals.slip_work += result.slip_work;
-    if constexpr (has_dashpot) totals.dashpot_work += result.dashpot_power * time_step;
-    const double smaller = std::min(a.equivalent_radius, b.equivalent_radius);
-    if (overlap > totals.largest_overlap_ratio * smaller) totals.largest_overlap_ratio = overlap / smaller;
+      const Vec3& force = result.force_on_a;
+      const Vec3 torque_a = lever_a.cross(force), torque_b = lever_b.cross(force);
+      Load& on_a = loads_[pair.a];
+      on_a.fx += force.x(), on_a.fy += force.y(), on_a.fz += force.z();
+      on_a.tx += torque_a.x(), on_a.ty += torque_a.y(), on_a.tz += torque_a.z();
+      Load& on_b = loads_[pair.b];
+      on_b.fx -= force.x(), on_b.fy -= force.y(), on_b.fz -= force.z();
+      on_b.tx -= torque_b.x(), on_b.ty -= torque_b.y(), on_b.tz -= torque_b.z();
+
+      ++totals.active;
+      totals.normal_force += result.normal_force;
+      totals.contact_force += force.norm();
+      energy += pair_material.normal_stiffness * overlap * overlap +
+                history.spring.squaredNorm() / pair_material.shear_stiffness;
+      totals.slip_work += result.slip_work;
+      if constexpr (has_dashpot) totals.dashpot_work += result.dashpot_power * time_step;
+      const double smaller = std::min(a.equivalent_radius, b.equivalent_radius);
+      if (overlap > totals.largest_overlap_ratio * smaller) totals.largest_overlap_ratio = overlap / smaller;
+    }
   }
   totals.elastic_energy = 0.5 * energy;
   return totals;

@@ -9,7 +9,8 @@
 //
 // Rotation. Paper eqs (15), (16) are for spheres. A clump's angular momentum L is what is stepped, in the world frame:
 //   L(n+1/2) = L(n-1/2) + T* (dt_old + dt_new)/2,
-// so that without torque it is constant to the last bit of rounding. Then the body turns for dt_new with L held, under
+// so that without torque it is constant to rounding (the sum is done in body axes of t_n, where I is diagonal). Then
+// the body turns for dt_new with L held, under
 //   H = |L|^2 / 2 I_2 + (1/I_1 - 1/I_2) p_1^2 / 2 + (1/I_3 - 1/I_2) p_3^2 / 2,      p = R^T L in body axes.
 // The first term turns the body about L and commutes with the others; the second and third turn it about its own axes 1
 // and 3. They are composed symmetrically (half a turn about 1, a turn about 3, half a turn about 1), which is

@@ -38,7 +38,7 @@ struct Arguments {
   std::string listen = "127.0.0.1:0";
   std::string results, log, record;
   std::vector<std::string> overrides;
-  bool verbose = false, keys = false, version = false;
+  bool verbose = false, progress = false, keys = false, version = false;
 };
 
 // "host:port" or "port".
@@ -67,8 +67,9 @@ int run(const Arguments& arguments) {
     const auto patience = std::chrono::milliseconds(std::llround(1000 * scene.scene.coupling().connect_timeout()));
     channel = listener.accept(std::chrono::steady_clock::now() + patience);
   }
-  dem::run_grains(scene, std::move(channel), {arguments.results, arguments.record});
-  return static_cast<int>(interrupt_requested() ? ExitCode::Interrupted : ExitCode::Success);
+  const dem::RunReport report =
+      dem::run_grains(scene, std::move(channel), {arguments.results, arguments.record, arguments.progress});
+  return static_cast<int>(report.is_interrupted || interrupt_requested() ? ExitCode::Interrupted : ExitCode::Success);
 }
 
 }  // namespace
@@ -88,6 +89,8 @@ int main(int argc, char** argv) {
   app.add_option("--log", arguments.log, "file for the full log");
   app.add_option("--record", arguments.record, "file that every frame is recorded in");
   app.add_flag("--verbose", arguments.verbose, "debug messages on the console too");
+  app.add_flag("--progress", arguments.progress,
+               "\"@progress key=value ...\" lines on standard output, as tools/run reads them");
   app.add_flag("--keys", arguments.keys, "list every key of a scene and end");
   app.add_flag("--version", arguments.version, "print the version and end");
   try {
@@ -100,9 +103,10 @@ int main(int argc, char** argv) {
     return 0;
   }
   try {
+    start_log("dem_server", {}, arguments.verbose);  // errors before the log file is open go to the console
     if (arguments.scene.empty())
       throw InputError("no scene given; try: dem_server scenarios/grain_on_block --listen 127.0.0.1:0");
-    start_log("dem_server", arguments.log, arguments.verbose);
+    if (!arguments.log.empty()) start_log("dem_server", arguments.log, arguments.verbose);
     install_interrupt_handlers();
     return run(arguments);
   } catch (const Error& error) {

@@ -5,36 +5,39 @@
 #include <algorithm>
 #include <cmath>
 
+#include "dem_server/measure.hpp"
+
 namespace lockstep::dem {
 
 Output::Output(const Settings& settings, std::filesystem::path folder)
     : folder_(std::move(folder)), interval_(settings.history_interval) {
   if (folder_.empty()) return;
-  history_ = std::make_unique<History>(folder_ / "dem_history.csv", std::vector<std::string>{"step",
-                                                                                             "time [s]",
-                                                                                             "time step [s]",
-                                                                                             "S/D",
-                                                                                             "tip resistance [Pa]",
-                                                                                             "tip force [N]",
-                                                                                             "shaft force [N]",
-                                                                                             "interface force x [N]",
-                                                                                             "interface force y [N]",
-                                                                                             "interface force z [N]",
-                                                                                             "unbalanced ratio",
-                                                                                             "contacts",
-                                                                                             "interface contacts",
-                                                                                             "largest overlap [R]",
-                                                                                             "kinetic [J]",
-                                                                                             "elastic [J]",
-                                                                                             "gravity work [J]",
-                                                                                             "boundary work [J]",
-                                                                                             "interface work [J]",
-                                                                                             "damped [J]",
-                                                                                             "friction [J]",
-                                                                                             "dashpots [J]",
-                                                                                             "energy residual [J]",
-                                                                                             "vertical imbalance [N]",
-                                                                                             "neglected moment [N m]"});
+  history_ =
+      std::make_unique<History>(folder_ / "dem_history.csv", std::vector<std::string>{"step",
+                                                                                      "time [s]",
+                                                                                      "time step [s]",
+                                                                                      "S/D",
+                                                                                      "tip resistance [Pa]",
+                                                                                      "tip force [N]",
+                                                                                      "shaft force [N]",
+                                                                                      "interface force on grains x [N]",
+                                                                                      "interface force on grains y [N]",
+                                                                                      "interface force on grains z [N]",
+                                                                                      "unbalanced ratio",
+                                                                                      "contacts",
+                                                                                      "interface contacts",
+                                                                                      "largest overlap [R]",
+                                                                                      "kinetic [J]",
+                                                                                      "elastic [J]",
+                                                                                      "gravity work [J]",
+                                                                                      "boundary work [J]",
+                                                                                      "interface work [J]",
+                                                                                      "damped [J]",
+                                                                                      "friction [J]",
+                                                                                      "dashpots [J]",
+                                                                                      "energy residual [J]",
+                                                                                      "vertical imbalance [N]",
+                                                                                      "neglected moment [N m]"});
   if (settings.write_particles) particle_series_.emplace(folder_ / "particles.pvd");
   if (settings.write_contacts) contact_series_.emplace(folder_ / "contacts.pvd");
 }
@@ -152,17 +155,17 @@ void Output::summary(const Json& summary) {
 }
 
 double unbalanced_ratio(const Model& m) {
-  const double bodies = static_cast<double>(m.particles.body_count());
-  if (bodies == 0) return 0;
-  double contacts = static_cast<double>(static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts +
-                                        m.plane_totals.contacts);
+  if (m.particles.body_count() == 0) return 0;
+  std::size_t contacts =
+      static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts + m.plane_totals.contacts;
   double force = m.pair_totals.normal_force + m.facet_totals.normal_force + m.plane_totals.normal_force;
   if (m.pile) {
-    contacts += static_cast<double>(m.pile_totals.tip.contacts + m.pile_totals.shaft.contacts);
+    contacts += m.pile_totals.tip.contacts + m.pile_totals.shaft.contacts;
     force += m.pile_totals.tip.normal_force + m.pile_totals.shaft.normal_force;
   }
   if (!(force > 0)) return 1;
-  return (m.motion.unbalanced_force / bodies) / (force / contacts);
+  return unbalanced_ratio(m.motion.unbalanced_force, m.particles.body_count(), force,
+                          static_cast<std::int64_t>(contacts));
 }
 
 }  // namespace lockstep::dem

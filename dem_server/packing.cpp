@@ -8,6 +8,7 @@
 #include "dem_server/clumps.hpp"
 #include "dem_server/constants.hpp"
 #include "dem_server/generation.hpp"
+#include "dem_server/measure.hpp"
 
 namespace lockstep::dem {
 
@@ -109,7 +110,7 @@ Assembly assemble_packing(const Settings& s, double ground_density, const Heartb
   request.seed = s.seed;
   request.progress = heartbeat;
   const Cube cube = make_cube(request);
-  a.bulk_porosity = cube.porosity;
+  a.cube_porosity = cube.porosity;
   a.preparation_friction = cube.preparation_friction;
 
   a.particles = packing.count ? cut_to_count(cube, packing.count, s, container, heartbeat) : cut(cube, 1, s, container);
@@ -155,6 +156,21 @@ void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
 }
 
 }  // namespace
+
+double bulk_porosity(const Settings& s, const Assembly& a, const Particles& p) {
+  if (!s.packing || p.body_count() == 0) return 0;
+  const Container& container = s.packing->container;
+  const double inset = wall_order * a.mean_radius;
+  std::optional<Pile> pile;
+  if (s.pile) pile.emplace(s.pile->shape, container.top - s.pile->embedment);
+  const double half_x = container.kind == Container::Kind::Cylinder ? container.radius : container.half_x;
+  const double half_y = container.kind == Container::Kind::Cylinder ? container.radius : container.half_y;
+  const Box bounds{{-half_x, -half_y, container.bottom + inset}, {half_x, half_y, container.top - inset}};
+  if (!(bounds.volume() > 0) || bounds.high.z() <= bounds.low.z() || std::min(half_x, half_y) <= inset) return 0;
+  return porosity(p, bounds, a.mean_radius / 4, [&](const Vec3& x) {
+    return container.depth_inside(x) > inset && (!pile || pile->closest(x).distance > inset);
+  });
+}
 
 void refit(Assembly& a, const Settings& s, double ground_density, Particles& p) {
   if (!s.packing || p.body_count() == 0) return;

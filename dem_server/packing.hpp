@@ -21,7 +21,7 @@ struct Assembly {
   double mean_radius = 0;           // equivalent [m]
   double smallest_radius = 0;       // equivalent [m]
   double solid_density = 0;         // as used [kg/m3]
-  double bulk_porosity = 0;         // of the cube; 0 without a packing
+  double cube_porosity = 0;         // at its packing pressure; 0 without a packing
   double overall_porosity = 0;      // of the container less the pile; 0 without a packing
   double preparation_friction = 0;  // in the cube
 };
@@ -30,6 +30,10 @@ using Heartbeat = std::function<void(std::string_view text, double fraction)>;
 
 // `ground_density` is the bulk density of the ground that the grains replace [kg/m3].
 Assembly assemble(const Settings& settings, double ground_density, const Heartbeat& heartbeat);
+
+// Porosity of the packing as it stands, away from sides, bottom, surface and pile, whose order loosens it; 0 when the container
+// is too narrow to have such a place.
+double bulk_porosity(const Settings& settings, const Assembly& assembly, const Particles& particles);
 
 // Brings radii, porosity and density up to date after the grains of a packing were grown: with MATCH_CONTINUUM they
 // weigh again what the ground weighed. Nothing for scenes without a packing.

@@ -36,8 +36,7 @@ void Particles::place_pebbles(std::int32_t body) {
     pebble_center[begin] = position[body];
     return;
   }
-  const Mat3 rotation = orientation[body].toRotationMatrix();
-  for (std::int32_t p = begin; p < end; ++p) pebble_center[p] = position[body] + rotation * pebble_offset[p];
+  place_pebbles(body, orientation[body].toRotationMatrix());
 }
 
 void Particles::place_pebbles() {

@@ -49,6 +49,12 @@ struct Particles {
   // Pebble centres from the body's pose.
   void place_pebbles();
   void place_pebbles(std::int32_t body);
+  // The same for a caller that has the rotation matrix of the body's orientation.
+  void place_pebbles(std::int32_t body, const Mat3& rotation) {
+    const Vec3 center = position[body];
+    for (std::int32_t p = pebble_begin[body]; p < pebble_begin[body + 1]; ++p)
+      pebble_center[p] = center + rotation * pebble_offset[p];
+  }
   // Multiplies every length of a body by `factor`; density is kept.
   void scale(std::int32_t body, double factor);
   // Keeps only the bodies for which keep[b] is true, in order.

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/checks.hpp"
+#include "dem_server/generation.hpp"
 
 namespace lockstep::dem {
 
@@ -114,7 +115,16 @@ Settings make_settings(const SceneFile& file) {
     throw InputError(fmt::format("{} = {}: a clump has 1, 2, 3, 5 or 9 pebbles; choose one of these",
                                  file.where(pebbles_key), s.pebbles));
 
-  if (grains.has_packing()) s.packing = packing_of(file);
+  if (grains.has_packing()) {
+    s.packing = packing_of(file);
+    const PorosityRange range = reachable_porosity(s.pebbles, s.elongation);
+    if (s.packing->porosity < range.low || s.packing->porosity > range.high)
+      throw InputError(fmt::format(
+          "{} = {}: grains of {} pebbles and elongation {} pack to porosities of {:.3f} to {:.3f}; give one of these, "
+          "or "
+          "another number of pebbles",
+          file.where("grains.packing.porosity"), s.packing->porosity, s.pebbles, s.elongation, range.low, range.high));
+  }
   if (grains.has_lattice()) s.lattice = lattice_of(grains.lattice());
   for (const scene::Grain& g : grains.grain())
     s.grains.push_back({to_vector(g.center()), to_vector(g.velocity()), to_vector(g.spin()), g.radius(), g.is_clump()});

@@ -202,10 +202,11 @@ void GrainsRun::balance() {
   m.planes = Planes(settings_.planes, settings_.wall_friction);
   if (settings_.pile) m.pile.emplace(settings_.pile->shape, -settings_.pile->embedment, settings_.pile->friction);
   spdlog::info(
-      "packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, bulk porosity {:.3f}, "
+      "packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, porosity of the cube "
+      "{:.3f}, "
       "overall {:.3f}",
       m.particles.body_count(), m.particles.pebble_count(), assembly_.mean_radius, assembly_.solid_density,
-      assembly_.bulk_porosity, assembly_.overall_porosity);
+      assembly_.cube_porosity, assembly_.overall_porosity);
 
   for (const Vec3s* points : {&m.particles.position, &initial_.nodes})
     for (const Vec3& x : *points) reach_ = std::max(reach_, x.norm());
@@ -227,7 +228,7 @@ void GrainsRun::balance() {
   reached.traction.resize(initial_.facets.size());
   for (std::size_t f = 0; f < reached.traction.size(); ++f)
     reached.traction[f] = m.facets.facet_force()[f] / m.facets.area_vector(f).norm();
-  reached.porosity = assembly_.bulk_porosity;
+  reached.porosity = bulk_porosity(settings_, assembly_, m.particles);
   reached.unbalanced_ratio = settings_.balance.max_cycles > 0 ? unbalanced_ratio(m) : 0.0;
   reached.particles = m.particles.body_count();
   reached.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
@@ -236,7 +237,9 @@ void GrainsRun::balance() {
   Json entry;
   entry.add("unbalanced_ratio", reached.unbalanced_ratio)
       .add("contacts", static_cast<std::int64_t>(reached.contacts))
-      .add("bulk_porosity", assembly_.bulk_porosity)
+      .add("bulk_porosity", reached.porosity)
+      .add("cube_porosity", assembly_.cube_porosity)
+      .add("preparation_friction", assembly_.preparation_friction)
       .add("overall_porosity", assembly_.overall_porosity);
   if (settings_.balance.max_cycles > 0 && settings_.balance.servo) {
     double weight = 0, bottom = 0, bottom_area = 0;
@@ -269,8 +272,9 @@ void GrainsRun::balance() {
     report_.bottom_error = bottom_error / weight;
     entry.add("worst_ring_mismatch", report_.ring_mismatch);
   }
-  spdlog::info("stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, {} cycles, {:.1f} s",
-               reached.unbalanced_ratio, reached.contacts, m.step, seconds_since(begin));
+  spdlog::info(
+      "stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, bulk porosity {:.3f}, {} cycles, {:.1f} s",
+      reached.unbalanced_ratio, reached.contacts, reached.porosity, m.step, seconds_since(begin));
   entry.add("cycles", static_cast<std::int64_t>(m.step));
   stage_done("Balance", begin, std::move(entry));
 }
@@ -387,6 +391,11 @@ void GrainsRun::settle(Servo& servo) {
           n, ratio, servo.worst_mismatch(b.traction_tolerance), servo.fastest(), servo.tip_pressure() / 1000,
           m.facet_totals.contacts, m.contacts.rebuilds());
   }
+  if (!is_balanced && ratio > hopeless_ratio)
+    throw NumericalError(fmt::format(
+        "Balance gave up after balance.max_cycles = {} with an unbalanced ratio of {:.2g} (wanted {:.1e}): the "
+        "packing still falls; give more cycles",
+        b.max_cycles, ratio, b.tolerance));
   if (!is_balanced)
     spdlog::warn(
         "Balance gave up after balance.max_cycles = {}: unbalanced ratio {:.1e} (wanted {:.1e}), servo {:.1e} m/s "
@@ -449,6 +458,12 @@ class GrainsRun::Peer : public Boundary {
           fmt::format("Velocities({}).position_hash is {:016x}, the grains hold {:016x}: the two sides no longer agree "
                       "where the interface is; both must do x += v * time_step in double precision",
                       velocities_.step, velocities_.position_hash, m.facets.position_hash()));
+    if (velocities_.time_step > told_step_)
+      throw NumericalError(
+          fmt::format("Velocities({}).time_step is {:.4e} s, but the grains are stable up to {:.4e} s, as Forces({}) "
+                      "or GrainsExcavated told "
+                      "the peer, who owns the step: it must keep below",
+                      velocities_.step, velocities_.time_step, told_step_, velocities_.step - 1));
     m.time_step = velocities_.time_step;
     if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply)
       run_.begin_penetration();
@@ -466,7 +481,7 @@ class GrainsRun::Peer : public Boundary {
     forces_.particle_force = m.facet_totals.particle_force;
     forces_.neglected_moment = m.facet_totals.neglected_moment;
     forces_.unbalanced_ratio = ratio_;
-    forces_.stable_step = stable_step_;
+    forces_.stable_step = told_step_ = stable_step_;
     forces_.is_done = run_.is_over();
     const GrainEnergies& e = m.ledger.energies();
     forces_.energies = {e.kinetic,  e.elastic,       e.gravity_work,  e.damped + e.dashpots,
@@ -483,7 +498,7 @@ class GrainsRun::Peer : public Boundary {
     }
   }
 
-  void start() { stable_step_ = run_.limit_.step; }
+  void start() { told_step_ = stable_step_ = run_.limit_.step; }
 
  private:
   // Node stiffness travels when one has grown by a tenth beyond what the peer knows.
@@ -502,7 +517,8 @@ class GrainsRun::Peer : public Boundary {
   protocol::Velocities velocities_;
   protocol::Forces forces_;
   double ratio_ = 1;
-  double stable_step_ = 0;  // [s]
+  double stable_step_ = 0;  // of the grains, as of the last renewal [s]
+  double told_step_ = 0;    // as the peer knows it [s]
 };
 
 void GrainsRun::begin_apply() {
@@ -566,7 +582,9 @@ bool GrainsRun::is_over() const {
 RunReport GrainsRun::finish() {
   Model& m = *model_;
   end_ = session_.finish().text;
-  session_.send(protocol::Message(protocol::Finish{m.step, interrupt_requested() ? "interrupted" : "done"}));
+  report_.is_interrupted = interrupt_requested() || session_.finish().is_interrupted;
+  session_.send(protocol::Message(protocol::Finish{
+      m.step, interrupt_requested() ? "the user of the grains interrupted the run" : "done", interrupt_requested()}));
   if (stage_ == protocol::Stage::Penetrate)
     spdlog::info(
         "stage Velocities, Forces, Advance (paper steps 5 to 7): {} steps, S/D {:.3f}, tip {:.3g} MPa, shaft {:.3g} "
@@ -675,7 +693,8 @@ Json GrainsRun::summary() {
       .add("version", lockstep_version())
       .add("scene_digest", scene_.digest)
       .add("title", settings_.title)
-      .add("end", end_);
+      .add("end", end_)
+      .add("interrupted", report_.is_interrupted);
   j.add("seconds", seconds_since(begin_)).add("stages", stages_);
   j.add("grains", static_cast<std::int64_t>(m.particles.body_count()))
       .add("pebbles", static_cast<std::int64_t>(m.particles.pebble_count()))

@@ -13,7 +13,7 @@ namespace lockstep::dem {
 struct RunOptions {
   std::filesystem::path results;  // folder; empty: nothing is written
   std::string record_path;        // recording of every frame; empty: none
-  bool prints_progress = true;    // "@progress" lines
+  bool prints_progress = false;   // "@progress" lines
 };
 
 // What a run came to, for tests and for main's last words.
@@ -34,6 +34,7 @@ struct RunReport {
   double worst_action_reaction = 0;     // over the largest force sum [-]
   double kinetic_energy = 0;            // of the grains [J]
   Vec3 momentum = Vec3::Zero();         // [kg m/s]
+  bool is_interrupted = false;          // by the user of either side
   std::string end;                      // the continuum's words
 };
 

@@ -416,10 +416,12 @@ void from_wire(const wire::CheckpointCommit& w, CheckpointCommit& m) {
 void to_wire(const Finish& m, wire::Finish& w) {
   w.set_step(m.step);
   w.set_text(m.text);
+  w.set_is_interrupted(m.is_interrupted);
 }
 void from_wire(const wire::Finish& w, Finish& m) {
   m.step = w.step();
   m.text = w.text();
+  m.is_interrupted = w.is_interrupted();
 }
 
 void to_wire(const Abort& m, wire::Abort& w) {

@@ -135,6 +135,7 @@ struct CheckpointCommit {
 struct Finish {
   std::uint64_t step = 0;
   std::string text;
+  bool is_interrupted = false;  // the sender's user ended the run early
 };
 
 // The last words of a side that gives up.

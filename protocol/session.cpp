@@ -142,15 +142,18 @@ struct Session::Impl {
     Clock::time_point alive = begin;  // the peer owes an answer from here on
     for (;;) {
       const Clock::time_point now = Clock::now();
-      if (now - alive >= settings.peer_timeout) {
+      // A side that was itself held up (stopped, starved) may find the deadline past and the peer's words there: one
+      // last look comes before the verdict.
+      const bool is_overdue = now - alive >= settings.peer_timeout;
+      if (is_interruptible && interrupt_requested()) stop_for_user();
+      if (!fetch(is_overdue ? now : std::min<Deadline>(now + wait_slice, alive + settings.peer_timeout))) {
+        if (!is_overdue) continue;
         waiting += now - begin;
         throw PeerError(
             fmt::format("no word from the {} ({}) for {:.1f} s, {}; look at its log, and raise coupling.peer_timeout "
                         "if it is only slow",
                         name_of(theirs()), peer(), seconds(now - alive), situation()));
       }
-      if (is_interruptible && interrupt_requested()) stop_for_user();
-      if (!fetch(std::min<Deadline>(now + wait_slice, alive + settings.peer_timeout))) continue;
       if (!take_aside(in)) break;
       alive = heard;
     }
@@ -160,7 +163,7 @@ struct Session::Impl {
   [[noreturn]] void stop_for_user() {
     const std::string stage(name_of(stage_of(turn)));
     abort(static_cast<int>(ExitCode::Interrupted),
-          fmt::format("the {}'s user stopped it in stage {}", name_of(mine), stage));
+          fmt::format("the user of the {} stopped it in stage {}", name_of(mine), stage));
     throw Interrupted("interrupted in stage " + stage);
   }
 

@@ -46,7 +46,10 @@ def run(peer, steps, origin=(0.0, 0.0, 0.0)):
     # The clock is the continuum's. A node of mass m on a spring k swings at omega = sqrt(k/m); leap-frog needs
     # dt < 2/omega, and a twentieth of that is smooth. 1e-3 s serves grains that do not tell their stiffness.
     stiffness = max(excavated.node_stiffness, default=0.0)
+    # The grains have a limit of their own (0: none), and give up on whoever exceeds it.
     time_step = 0.1 * math.sqrt(MASS / stiffness) if stiffness > 0 else 1e-3
+    if excavated.stable_step > 0:
+        time_step = min(time_step, 0.5 * excavated.stable_step)
     velocity = [[0.0, 0.0, KICK] for _ in x]
     height = []  # of the middle node at t_n
     for step in range(steps):
@@ -57,6 +60,8 @@ def run(peer, steps, origin=(0.0, 0.0, 0.0)):
         forces = peer.expect(wire.Forces)
         if forces.step != step or len(forces.force) != 3 * len(x):
             peer.abort(3, f"Forces({forces.step}) with {len(forces.force)} numbers where step {step} is due")
+        if 0 < forces.stable_step < time_step:
+            peer.abort(4, f"the grains' limit {forces.stable_step} s fell below the step {time_step} s, which this peer keeps")
         height.append(x[4][2])
         for node in range(len(x)):
             for i in range(3):

@@ -32,7 +32,7 @@ TEST_CASE("tools/run refuses what cannot work, in words, before it starts anythi
   const std::string scene = "tools/run " + std::string(SOURCE_DIR) + "/scenarios/pile_quick ";
   const Outcome none = run("tools/run no_such_scene --programs /tmp");
   CAPTURE(none.text);
-  CHECK(none.exit_code == 1);
+  CHECK(none.exit_code == 2);
   CHECK(contains(none.text, "no_such_scene"));
   CHECK(contains(none.text, "scenarios/"));
 

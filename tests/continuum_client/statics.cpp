@@ -1,11 +1,39 @@
 // Known static answers: what the explicit scheme comes to rest at, K u = f.
+#include <Eigen/SparseCholesky>
 #include <catch2/catch.hpp>
 #include <cmath>
+#include <vector>
 
 #include "tests/continuum_client/fixtures.hpp"
 
 namespace lockstep::continuum {
 namespace {
+
+// Solves K u = f by factors. K of a slender bar of nearly constant volume is conditioned too badly for solve_static,
+// whose residual rises for hundreds of iterations before it falls; the zone is on trial here, not the solver.
+Vec3s solve_by_factors(const StiffnessMatrix& k, const Vec3s& is_free, const Vec3s& f) {
+  const int count = static_cast<int>(k.node_count());
+  std::vector<Eigen::Triplet<double>> entry;  // upper half, one on the diagonal of what is held
+  const auto add_block = [&](int row, int column, const Mat3& block) {
+    for (int i = 0; i < 3; ++i)
+      for (int j = row == column ? i : 0; j < 3; ++j) {
+        const bool both_free = is_free[row][i] != 0 && is_free[column][j] != 0;
+        const bool is_diagonal = row == column && i == j;
+        if (both_free || is_diagonal) entry.emplace_back(3 * row + i, 3 * column + j, both_free ? block(i, j) : 1.0);
+      }
+  };
+  for (int row = 0; row < count; ++row)
+    for (std::int64_t b = k.row_begin[row]; b < k.row_begin[row + 1]; ++b) add_block(row, k.column[b], k.block[b]);
+  Eigen::SparseMatrix<double> matrix(3 * count, 3 * count);
+  matrix.setFromTriplets(entry.begin(), entry.end());
+  Eigen::VectorXd load(3 * count);
+  for (int i = 0; i < count; ++i) load.segment<3>(3 * i) = f[i].cwiseProduct(is_free[i]);
+  const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>, Eigen::Upper> factors(matrix);
+  const Eigen::VectorXd solution = factors.solve(load);
+  Vec3s u(count);
+  for (int i = 0; i < count; ++i) u[i] = solution.segment<3>(3 * i);
+  return u;
+}
 
 // Tip deflection of a cantilever (length 10, square section 1, cubes as zones) over Timoshenko's beam.
 double cantilever(int zones_through_depth, double nu) {
@@ -13,7 +41,7 @@ double cantilever(int zones_through_depth, double nu) {
   const double length = 10, e = 44.3e6, load = 1;
   const ElasticModuli moduli = elastic_moduli(e, nu);
   const Grid grid = brick(length, 1, 1, 10 * n, n, n);
-  Vec3s is_free(grid.node_count(), Vec3::Ones()), f(grid.node_count(), Vec3::Zero()), u;
+  Vec3s is_free(grid.node_count(), Vec3::Ones()), f(grid.node_count(), Vec3::Zero());
   for (std::size_t i = 0; i < grid.node_count(); ++i) {
     const Vec3& x = grid.node[i];
     if (x.x() < grid.low.x() + 1e-9) is_free[i].setZero();
@@ -23,7 +51,7 @@ double cantilever(int zones_through_depth, double nu) {
       f[i].z() = load / (n * n) * (edge_y ? 0.5 : 1) * (edge_z ? 0.5 : 1);
     }
   }
-  solve_static(assemble_stiffness(grid, moduli), is_free, f, u, {});
+  const Vec3s u = solve_by_factors(assemble_stiffness(grid, moduli), is_free, f);
   double tip = 0;
   int count = 0;
   for (std::size_t i = 0; i < grid.node_count(); ++i)
@@ -70,13 +98,25 @@ double thick_cylinder(int radial, double nu) {
 }  // namespace
 
 TEST_CASE("a cantilever is as stiff as mixed discretization makes it") {
-  // Known shares of the beam's deflection for 1, 2 and 4 zones through the depth: .46, .74, .91 (nu 0.3); .53, .73, .89
-  // (nu 0.499). Too stiff in bending on coarse meshes, converging from below.
+  // Known shares of the beam's deflection for 1, 2 and 4 zones through the depth: .46, .74, .91. Too stiff in bending
+  // on coarse meshes, converging from below.
   const double one = cantilever(1, 0.3), two = cantilever(2, 0.3), four = cantilever(4, 0.3);
   INFO("cantilever, 1, 2, 4 zones through the depth, nu 0.3: " << one << " " << two << " " << four);
   CHECK(one == Approx(0.46).margin(0.02));
   CHECK(two == Approx(0.74).margin(0.02));
   CHECK(four == Approx(0.91).margin(0.02));
+}
+
+TEST_CASE("a cantilever that hardly changes volume bends as one that does") {
+  // nu = 0.499: K = 500 G. A zone has one volume per overlay to keep, not five, so that bending is left free: the known
+  // shares of the beam's deflection, .53, .73, .89, are like those at nu = 0.3 (plain tetrahedra: .08, .26, .48).
+  const double one = cantilever(1, 0.499), two = cantilever(2, 0.499), four = cantilever(4, 0.499);
+  INFO("cantilever, 1, 2, 4 zones through the depth, nu 0.499: " << one << " " << two << " " << four << ", errors "
+                                                                 << one / 0.53 - 1 << " " << two / 0.73 - 1 << " "
+                                                                 << four / 0.89 - 1);
+  CHECK(one == Approx(0.53).epsilon(0.05));
+  CHECK(two == Approx(0.73).epsilon(0.05));
+  CHECK(four == Approx(0.89).epsilon(0.05));
 }
 
 TEST_CASE("a thick cylinder meets Lame's solution, and nu near a half does not lock it") {

@@ -32,17 +32,13 @@ inline Reports run_in_process(const SceneFile& scene) {
   std::exception_ptr grains_failed, zones_failed;
   std::thread grains([&, channel = std::move(server)]() mutable {
     try {
-      dem::RunOptions options;
-      options.prints_progress = false;
-      reports.grains = dem::run_grains(scene, std::move(channel), options);
+      reports.grains = dem::run_grains(scene, std::move(channel), {});
     } catch (...) {
       grains_failed = std::current_exception();
     }
   });
   try {
-    continuum::RunOptions options;
-    options.prints_progress = false;
-    reports.zones = continuum::run_continuum(scene, {}, std::move(client), options);
+    reports.zones = continuum::run_continuum(scene, {}, std::move(client), {});
   } catch (...) {
     zones_failed = std::current_exception();
   }
