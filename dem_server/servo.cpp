@@ -70,7 +70,8 @@ void Servo::take_forces(Model& m) {
     r.velocity = 0;
     if (is_active && r.is_side() && stiffness > 0) {
       r.velocity = limited(settings_.closing * (r.target - pressure) * r.area / (stiffness * time_step));
-      if (std::abs(r.travel + r.velocity * time_step) > settings_.max_travel) r.velocity = 0;
+      r.is_at_end = std::abs(r.travel + r.velocity * time_step) > settings_.max_travel;
+      if (r.is_at_end) r.velocity = 0;
     }
     r.mean_velocity += blend * (r.velocity - r.mean_velocity);
   }
@@ -103,14 +104,24 @@ double Servo::fastest() const {
   return v;
 }
 
+double Servo::mismatch(const Ring& r, double relative) const {
+  return r.is_side() ? std::abs(r.pressure - r.target) / (relative * r.target + pressure_floor) : 0.0;
+}
+
+double Servo::tip_mismatch(double relative) const {
+  return tip_target_ > 0 ? std::abs(tip_pressure_ - tip_target_) / (relative * tip_target_ + pressure_floor) : 0.0;
+}
+
 double Servo::worst_mismatch(double relative) const {
-  constexpr double floor = 500;  // [Pa]
-  double worst = tip_target_ > 0 ? std::abs(tip_pressure_ - tip_target_) / (relative * tip_target_ + floor) : 0.0;
-  for (const Ring& r : rings_) {
-    if (!r.is_side()) continue;
-    // A ring at the end of its travel can do no more.
-    worst = std::max(worst, std::abs(r.pressure - r.target) / (relative * r.target + floor));
-  }
+  double worst = tip_mismatch(relative);
+  for (const Ring& r : rings_) worst = std::max(worst, mismatch(r, relative));
+  return worst;
+}
+
+double Servo::worst_movable_mismatch(double relative) const {
+  double worst = tip_mismatch(relative);
+  for (const Ring& r : rings_)
+    if (!r.is_at_end) worst = std::max(worst, mismatch(r, relative));
   return worst;
 }
 

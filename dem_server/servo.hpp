@@ -33,12 +33,15 @@ struct Ring {
   double pressure = 0;       // averaged [Pa]
   double velocity = 0;       // along the normal, this step [m/s]
   double mean_velocity = 0;  // averaged [m/s]
+  bool is_at_end = false;    // its travel is used up: it can do no more
   double travel = 0;         // along the normal [m]
   bool is_side() const { return id >= 0; }
 };
 
 class Servo : public Boundary {
  public:
+  static constexpr double pressure_floor = 500;  // of every comparison of pressures, beside a share of them [Pa]
+
   // `ring` and `traction` per facet as in InitialStress; `tip_target` is the mean vertical pressure at the tip's depth
   // [Pa].
   Servo(const Model& model, std::span<const std::int32_t> ring, std::span<const Vec3> traction, double tip_target,
@@ -55,8 +58,13 @@ class Servo : public Boundary {
   double fastest() const;                                // averaged, rings and tip [m/s]
   // Largest |p - target| / (relative * target + 500 Pa) over side rings and tip; at most 1 when matched.
   double worst_mismatch(double relative) const;
+  // The same, leaving out rings at the end of their travel.
+  double worst_movable_mismatch(double relative) const;
 
  private:
+  double mismatch(const Ring& ring, double relative) const;
+  double tip_mismatch(double relative) const;
+
   ServoSettings settings_;
   std::vector<Ring> rings_;
   std::vector<Vec3> node_normal_;                      // horizontal, into the grains; zero off the sides

@@ -37,6 +37,19 @@ class Held : public Boundary {
   void take_forces(Model&) override {}
 };
 
+// What the bottom carries in stage Balance, against what smooth sides leave it to carry.
+struct BottomBalance {
+  double force = 0;   // of the bottom [N]
+  double weight = 0;  // of the grains [N]
+  double tip = 0;     // of the pile on the grains [N]
+  double area = 0;    // of the bottom [m2]
+  double error() const { return force - (weight + tip); }
+  // At most 1 when matched: |error| over the share of the load and 0.5 kPa.
+  double mismatch(double relative) const {
+    return std::abs(error()) / (relative * (weight + tip) + Servo::pressure_floor * area);
+  }
+};
+
 // The run of one session. Each stage is a member function, in order.
 class GrainsRun {
  public:
@@ -95,6 +108,7 @@ class GrainsRun {
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
   void set_friction(double grain, double walls_and_pile_factor);
+  BottomBalance bottom_balance(const Servo& servo) const;
   double renew_step();
   void watch();
   void show_progress(double unbalanced);
@@ -242,34 +256,27 @@ void GrainsRun::balance() {
       .add("preparation_friction", assembly_.preparation_friction)
       .add("overall_porosity", assembly_.overall_porosity);
   if (settings_.balance.max_cycles > 0 && settings_.balance.servo) {
-    double weight = 0, bottom = 0, bottom_area = 0;
-    for (const double mass : m.particles.mass) weight += mass * settings_.gravity;
+    const BottomBalance bottom = bottom_balance(servo);
     std::string table;
     std::vector<double> targets, pressures, depths;
     for (const Ring& ring : servo.rings()) {
-      if (!ring.is_side()) {
-        bottom += ring.pressure * ring.area;
-        bottom_area += ring.area;
-        continue;
-      }
+      if (!ring.is_side()) continue;
       targets.push_back(ring.target), pressures.push_back(ring.pressure), depths.push_back(ring.center_z);
       table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm",
                            ring.center_z, ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
     }
-    const double tip = m.pile ? servo.tip_pressure() * m.pile->tip_area() : 0.0;
-    const double bottom_error = bottom - (weight + tip);
     spdlog::info("ring pressures:{}", table);
     if (m.pile)
       spdlog::info(
           "tip at z {:.3f} m carries {:.2f} kPa, handed over {:.2f} kPa; bottom {:.2f} kN = weight {:.2f} + tip {:.2f} "
           "{:+.2f} kN",
-          m.pile->tip_z(), servo.tip_pressure() / 1000, servo.tip_target() / 1000, bottom / 1000, weight / 1000,
-          tip / 1000, bottom_error / 1000);
+          m.pile->tip_z(), servo.tip_pressure() / 1000, servo.tip_target() / 1000, bottom.force / 1000,
+          bottom.weight / 1000, bottom.tip / 1000, bottom.error() / 1000);
     entry.add("ring_depth_m", depths).add("ring_target_pa", targets).add("ring_pressure_pa", pressures);
     entry.add("tip_target_pa", servo.tip_target()).add("tip_pressure_pa", servo.tip_pressure());
-    entry.add("bottom_force_n", bottom).add("weight_n", weight).add("bottom_error_n", bottom_error);
+    entry.add("bottom_force_n", bottom.force).add("weight_n", bottom.weight).add("bottom_error_n", bottom.error());
     report_.ring_mismatch = servo.worst_mismatch(settings_.balance.traction_tolerance);
-    report_.bottom_error = bottom_error / weight;
+    report_.bottom_mismatch = bottom.mismatch(settings_.balance.traction_tolerance);
     entry.add("worst_ring_mismatch", report_.ring_mismatch);
   }
   spdlog::info(
@@ -277,6 +284,15 @@ void GrainsRun::balance() {
       reached.unbalanced_ratio, reached.contacts, reached.porosity, m.step, seconds_since(begin));
   entry.add("cycles", static_cast<std::int64_t>(m.step));
   stage_done("Balance", begin, std::move(entry));
+}
+
+BottomBalance GrainsRun::bottom_balance(const Servo& servo) const {
+  BottomBalance b;
+  for (const double mass : model_->particles.mass) b.weight += mass * settings_.gravity;
+  for (const Ring& ring : servo.rings())
+    if (!ring.is_side()) b.force += ring.pressure * ring.area, b.area += ring.area;
+  if (model_->pile) b.tip = servo.tip_pressure() * model_->pile->tip_area();
+  return b;
 }
 
 // The step of the next cycles of Balance. It never grows: a packing that has come loose for a moment gets its contacts
@@ -377,7 +393,8 @@ void GrainsRun::settle(Servo& servo) {
       spdlog::info("servo on after {} cycles, unbalanced ratio {:.1e}", n, ratio);
     }
     const bool has_servo_done = !b.servo || (servo.is_active && servo.fastest() < b.servo_tolerance &&
-                                             servo.worst_mismatch(b.traction_tolerance) < 1);
+                                             servo.worst_movable_mismatch(b.traction_tolerance) < 1 &&
+                                             bottom_balance(servo).mismatch(b.traction_tolerance) < 1);
     is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done;
     const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
     session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
@@ -403,6 +420,13 @@ void GrainsRun::settle(Servo& servo) {
         "{:.1e}), mismatch {:.2f} of the tolerance; give more cycles or a looser tolerance",
         b.max_cycles, ratio, b.tolerance, servo.fastest(), b.servo_tolerance,
         servo.worst_mismatch(b.traction_tolerance));
+  for (const Ring& ring : servo.rings())
+    if (ring.is_at_end)
+      spdlog::warn(
+          "the ring at z {:.2f} m is at the end of its travel with {:.2f} kPa of {:.2f} kPa; balance.max_servo_travel "
+          "(now "
+          "{} R) would let it go on",
+          ring.center_z, ring.pressure / 1000, ring.target / 1000, b.max_servo_travel);
   spdlog::info("settled in {} cycles, {:.1f} s", n, seconds_since(begin));
 }
 

@@ -23,8 +23,8 @@ struct RunReport {
   std::uint64_t state_hash = 0;     // of the whole state of the grains at the end
   std::uint64_t position_hash = 0;  // of the interface nodes as the grains hold them
   std::size_t grains = 0;
-  double ring_mismatch = 0;  // at the end of Balance, worst side ring or tip, over its tolerance [-]
-  double bottom_error = 0;   // at the end of Balance: bottom - (weight + tip), over the weight [-]
+  double ring_mismatch = 0;    // at the end of Balance, worst side ring or tip, over its tolerance [-]
+  double bottom_mismatch = 0;  // at the end of Balance: bottom less weight and tip, over its tolerance [-]
   double s_over_d = 0;
   double tip_resistance = 0;            // mean of the last history row [Pa]
   double shaft_force = 0;               // [N]
