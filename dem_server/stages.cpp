@@ -73,9 +73,6 @@ class GrainsRun {
       excavate();
       exchange();
       return finish();
-    } catch (const PeerError&) {
-      keep_last_state();
-      throw;  // the session has said what was to be said
     } catch (const Error& error) {
       session_.abort(static_cast<int>(error.code()), error.what());
       keep_last_state();
@@ -92,6 +89,7 @@ class GrainsRun {
   void shake_hands();
   void receive_initial_stress();
   void balance();
+  void tell_balance(const Servo& servo, Clock::time_point begin);
   void relax();
   void grow();
   void settle(Servo& servo);
@@ -217,8 +215,7 @@ void GrainsRun::balance() {
   if (settings_.pile) m.pile.emplace(settings_.pile->shape, -settings_.pile->embedment, settings_.pile->friction);
   spdlog::info(
       "packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, porosity of the cube "
-      "{:.3f}, "
-      "overall {:.3f}",
+      "{:.3f}, overall {:.3f}",
       m.particles.body_count(), m.particles.pebble_count(), assembly_.mean_radius, assembly_.solid_density,
       assembly_.cube_porosity, assembly_.overall_porosity);
 
@@ -237,7 +234,12 @@ void GrainsRun::balance() {
   m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
   if (m.pile) m.pile->set_velocity(0);
   evaluate_forces(m);
+  tell_balance(servo, begin);
+}
 
+// What the packing reached, to the peer, the log and the summary.
+void GrainsRun::tell_balance(const Servo& servo, Clock::time_point begin) {
+  const Model& m = *model_;
   protocol::Balance reached;
   reached.traction.resize(initial_.facets.size());
   for (std::size_t f = 0; f < reached.traction.size(); ++f)

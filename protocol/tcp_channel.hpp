@@ -1,6 +1,6 @@
 // Frames over TCP. The grains listen, the continuum connects.
 //
-// A frame is one write on a socket with TCP_NODELAY. A waiter tries to read for 50 us before it sleeps, since waking an
+// A frame is one write on a socket with TCP_NODELAY. A waiter tries to read for 200 us before it sleeps, since waking an
 // idle virtual core costs 60 to 90 us and the answer is usually there sooner; after the first 10 us it yields between
 // tries, so that on a machine with more work than cores the peer gets the core that it needs to answer.
 #pragma once
