@@ -138,7 +138,8 @@ void ResultFiles::write_summary(const RunReport& r, const std::string& title) {
                          .add("damped_J", l.work.damped)
                          .add("residual_J", l.residual())
                          .add("residual_fraction", r.ledger_residual_fraction));
-  json.add("largest_displacement_m", r.largest_displacement)
+  json.add("interface_settlement_m", r.settlement)
+      .add("largest_displacement_m", r.largest_displacement)
       .add("largest_displacement_over_facet", r.largest_strain_measure);
   json.add("stages", stages).add("phase_seconds", phases);
   json.add("seconds", r.seconds).add("seconds_waiting_for_peer", r.seconds_waiting);

@@ -48,6 +48,7 @@ struct RunReport {
   int step_cuts = 0;
   Ledger ledger;
   double ledger_residual_fraction = 0;  // of the sum of all work and energy, moduli [-]
+  double settlement = 0;                // of the interface, mean of -u_z over its area, at the end [m]
   double largest_displacement = 0;      // of any node at the end, reference state at Excavate [m]
   double largest_strain_measure = 0;    // largest |u| over the mean facet size, to judge small strain by [-]
 

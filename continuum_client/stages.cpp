@@ -395,6 +395,20 @@ class Stages {
     return time < ramp ? 0.5 * v * time * time / ramp : v * (time - 0.5 * ramp);
   }
 
+  // Mean of -u_z over the interface's area, each facet's corners alike.
+  double settlement() const {
+    const InterfaceSurface& s = ground_.interface;
+    double area = 0, sum = 0;
+    for (std::size_t f = 0; f < s.facet_count(); ++f) {
+      const double corner = 0.25 * facet_area_vector(s.corners(f)).norm();
+      for (const std::int32_t i : s.facet[f]) {
+        area += corner;
+        sum -= corner * ground_.motion.displacement[s.node[i]].z();
+      }
+    }
+    return area > 0 ? sum / area : 0.0;
+  }
+
   void measure_jump() {
     const InterfaceSurface& s = ground_.interface;
     double sum = 0;
@@ -490,6 +504,7 @@ class Stages {
     report_.ledger_residual_fraction = turnover > 0 ? std::abs(l.residual()) / turnover : 0.0;
     for (const Vec3& u : ground_.motion.displacement)
       report_.largest_displacement = std::max(report_.largest_displacement, u.norm());
+    report_.settlement = settlement();
     report_.largest_strain_measure = report_.largest_displacement / ground_.interface.mean_facet_size();
     for (std::size_t p = 0; p < Profile<Phase>::size; ++p)
       report_.phase_seconds.push_back(ground_.profile.seconds(static_cast<Phase>(p)));
