@@ -187,7 +187,6 @@ void refit(Assembly& a, const Settings& s, double ground_density, Particles& p) 
   a.solid_density = density;
   const auto& r = p.equivalent_radius;
   a.mean_radius = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
-  a.smallest_radius = *std::min_element(r.begin(), r.end());
 }
 
 Assembly assemble(const Settings& s, double ground_density, const Heartbeat& heartbeat) {
@@ -208,7 +207,6 @@ Assembly assemble(const Settings& s, double ground_density, const Heartbeat& hea
   const auto& r = a.particles.equivalent_radius;
   if (!r.empty()) {
     a.mean_radius = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
-    a.smallest_radius = *std::min_element(r.begin(), r.end());
   }
   return a;
 }

@@ -19,7 +19,6 @@ struct Assembly {
   Particles particles;
   std::vector<char> is_fixed;       // empty: none
   double mean_radius = 0;           // equivalent [m]
-  double smallest_radius = 0;       // equivalent [m]
   double solid_density = 0;         // as used [kg/m3]
   double cube_porosity = 0;         // at its packing pressure; 0 without a packing
   double overall_porosity = 0;      // of the container less the pile; 0 without a packing

@@ -158,7 +158,6 @@ Settings make_settings(const SceneFile& file) {
   s.step_damping = std::max(s.run_damping, s.has_apply ? s.apply_damping : 0.0);
 
   s.step_fraction = scene.fidelity().step_fraction();
-  s.hash_interval = scene.coupling().hash_interval();
   s.history_interval = scene.output().history_interval();
   s.snapshot_interval = scene.output().snapshot_interval();
   s.peer_timeout = scene.coupling().peer_timeout();

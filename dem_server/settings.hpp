@@ -104,7 +104,6 @@ struct Settings {
 
   double step_fraction = 0.9;           // of the stable step
   double peer_timeout = 60;             // [s]
-  std::uint32_t hash_interval = 100;    // steps
   std::uint32_t history_interval = 20;  // steps
   double snapshot_interval = 0;         // S/D, or seconds without a pile
   bool write_particles = true;
