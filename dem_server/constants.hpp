@@ -11,6 +11,12 @@ inline constexpr double outer_skin_factor = 6;
 // A stretched cloud (a grain that flew away) may not ask for more cells than this many a pebble; cells grow instead.
 inline constexpr double cells_per_pebble = 4;
 
+// Moment of inertia of a sphere over m R^2.
+inline constexpr double sphere_inertia = 0.4;
+
+// Where the records behind the last one stand: its square is still a number [m].
+inline constexpr double far_away = 1e150;
+
 // List entries whose bodies are fetched ahead of use; 32 and 64 measured alike, fewer leave 100,000 grains waiting for
 // memory.
 inline constexpr int prefetch_distance = 32;
@@ -23,6 +29,12 @@ inline constexpr int bound_sweeps = 12;
 inline constexpr int power_products = 30;
 inline constexpr double power_margin = 0.95;
 
+// Bodies of a chunk of the contact list: what threads share out and sums are taken over.
+inline constexpr std::size_t chunk_bodies = 256;
+
+// Pebbles whose radii differ by less than this share one grid of cells.
+inline constexpr double grid_size_ratio = 2.5;
+
 // Cutting a packing: pebbles whose centre is nearer to a wall than this many radii are left out. At 0.8 the packing has
 // gaps along the walls and collapses; at 0.45 it is just not jammed once relaxed.
 inline constexpr double clip_distance = 0.45;
@@ -31,7 +43,8 @@ inline constexpr double clip_distance = 0.45;
 inline constexpr double wall_order = 3;
 
 // Trials of the cube's magnification until the count is met, and how near is near enough.
-inline constexpr int count_trials = 24;
+inline constexpr int count_trials = 40;
+inline constexpr int lead_trials = 12;  // of them with the cube in its first place
 inline constexpr double count_tolerance = 0.001;
 
 // Relaxing the cut: at most these cycles, with bodies no faster than this [m/s], until no overlap exceeds this share of

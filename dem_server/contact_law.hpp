@@ -28,7 +28,7 @@ struct ContactMaterial {
 // zero.
 inline constexpr double smallest_turn = 1e-9;
 
-// What a contact remembers from step to step.
+// What a contact with a wall, the pile or a facet remembers from step to step. (Pairs of grains keep the spring alone.)
 struct ContactHistory {
   Vec3 spring = Vec3::Zero();  // shear force on A at the last step [N]
   Vec3 normal = Vec3::Zero();  // unit normal of the last step; zero for a contact that was not touching
@@ -85,7 +85,8 @@ inline double pair_dashpot(double ratio, double stiffness, double mass_a, double
 //
 // The spring turns with the normal by the smallest rotation that takes the last normal n0 to n. With s . n0 = 0 that is
 //   s <- s - (n0 + n) (n . s) / (1 + n0 . n),
-// which keeps |s| (Rodrigues' formula for the axis n0 x n). Spin about the normal does not turn the spring.
+// which keeps |s| (Rodrigues' formula for the axis n0 x n). Spin about the normal does not turn the spring. The pair
+// kernel does the same without n0.
 inline ContactResult contact_force(const ContactMaterial& material, const Vec3& normal, double overlap,
                                    const Vec3& relative_velocity, double time_step, ContactHistory& history) {
   if (!(overlap > 0)) {

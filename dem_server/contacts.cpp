@@ -1,8 +1,9 @@
 #include "dem_server/contacts.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
-#include <limits>
+#include <utility>
 
 #include "common/checks.hpp"
 #include "dem_server/constants.hpp"
@@ -11,289 +12,415 @@ namespace lockstep::dem {
 
 namespace {
 
-// Entries of the inner list that are worked on together; the next block is fetched meanwhile.
-constexpr std::size_t pair_block = prefetch_distance;
+PairKernel kernel_of([[maybe_unused]] InstructionSet set, const PairKernelTraits& traits) {
+#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+  if (set == InstructionSet::Avx512) return pair_kernel_avx512(traits);
+  if (set == InstructionSet::Avx2) return pair_kernel_avx2(traits);
+#endif
+  return pair_kernel_generic(traits);
+}
 
 }  // namespace
 
-PairContacts::PairContacts(double skin, std::optional<Vec3> period) : skin_(skin), period_(period) {
+// ------------------------------------------------------------------------------------------------------- the lists
+
+// Fills a chunk entry by entry, and its last tile with entries that name nobody.
+class PairContacts::Writer {
+ public:
+  Writer(Chunk& chunk, const Particles& particles, bool is_periodic)
+      : chunk_(chunk), particles_(particles), has_clumps_(particles.has_clumps()), is_periodic_(is_periodic) {
+    chunk_.pairs.clear(), chunk_.bodies.clear(), chunk_.shifts.clear(), chunk_.springs.clear();
+    chunk_.count = 0;
+    chunk_.last_body = -1;
+  }
+  ~Writer() {
+    const std::size_t count = chunk_.count;
+    const auto nobody = static_cast<std::int32_t>(particles_.pebble_count());
+    while (chunk_.count % tile_size != 0) add(nobody, nobody, Vec3::Zero(), Vec3::Zero());
+    chunk_.count = count;
+  }
+  void add(std::int32_t i, std::int32_t j, const Vec3& shift, const Vec3& spring) {
+    const std::size_t lane = chunk_.count++ % tile_size;
+    if (lane == 0) {
+      chunk_.pairs.emplace_back();
+      chunk_.springs.emplace_back();
+      if (has_clumps_) chunk_.bodies.emplace_back();
+      if (is_periodic_) chunk_.shifts.emplace_back();
+    }
+    const std::int32_t b = particles_.pebble_body(j);
+    if (b > chunk_.last_body && b < static_cast<std::int32_t>(particles_.body_count())) chunk_.last_body = b;
+    chunk_.pairs.back().i[lane] = i;
+    chunk_.pairs.back().j[lane] = j;
+    SpringTile& springs = chunk_.springs.back();
+    springs.x[lane] = spring.x(), springs.y[lane] = spring.y(), springs.z[lane] = spring.z();
+    if (has_clumps_) {
+      chunk_.bodies.back().a[lane] = particles_.pebble_body(i);
+      chunk_.bodies.back().b[lane] = b;
+    }
+    if (!is_periodic_) return;
+    ShiftTile& shifts = chunk_.shifts.back();
+    shifts.x[lane] = shift.x(), shifts.y[lane] = shift.y(), shifts.z[lane] = shift.z();
+  }
+
+ private:
+  Chunk& chunk_;
+  const Particles& particles_;
+  bool has_clumps_, is_periodic_;
+};
+
+namespace {
+
+// Growth of the radii that renews the inner list, over its skin.
+constexpr double growth_share = 0.25;
+
+Vec3 spring_of(const std::vector<SpringTile>& springs, std::size_t k) {
+  const SpringTile& tile = springs[k / tile_size];
+  return {tile.x[k % tile_size], tile.y[k % tile_size], tile.z[k % tile_size]};
+}
+
+Vec3 shift_of(const std::vector<ShiftTile>& shifts, std::size_t k) {
+  if (shifts.empty()) return Vec3::Zero();
+  const ShiftTile& tile = shifts[k / tile_size];
+  return {tile.x[k % tile_size], tile.y[k % tile_size], tile.z[k % tile_size]};
+}
+
+double squared_distance(const SphereRecord& a, const SphereRecord& b) {
+  const double x = a.x - b.x, y = a.y - b.y, z = a.z - b.z;
+  return x * x + y * y + z * z;
+}
+
+}  // namespace
+
+PairContacts::PairContacts(double skin, std::optional<Vec3> period, InstructionSet instructions)
+    : skin_(skin), period_(period), instructions_(instructions) {
   LOCKSTEP_ASSERT(skin > 0, "skin {}", skin);
 }
 
-void PairContacts::load(const Particles& particles) {
-  const std::size_t bodies = particles.body_count();
-  bodies_.resize(bodies);
-  loads_.resize(bodies);
-  pebbles_.resize(particles.pebble_count());
-  for (std::size_t b = 0; b < bodies; ++b) {
-    const Vec3 &v = particles.velocity[b], &w = particles.spin[b], &x = particles.position[b];
-    bodies_[b] = {v.x(), v.y(), v.z(), w.x(), w.y(), w.z(), particles.equivalent_radius[b], particles.mass[b]};
-    for (std::int32_t p = particles.pebble_begin[b]; p < particles.pebble_begin[b + 1]; ++p) {
-      const Vec3& c = particles.pebble_center[p];
-      pebbles_[p] = {c.x(), c.y(), c.z(), particles.pebble_radius[p], c.x() - x.x(), c.y() - x.y(), c.z() - x.z(), 0};
-    }
-  }
+std::size_t PairContacts::chunk_count(const Particles& particles) const {
+  return (particles.body_count() + chunk_bodies - 1) / chunk_bodies;
 }
 
-PairContacts::Travel PairContacts::travel_since(const std::vector<Mark>& marks, const Particles& particles) const {
-  Travel travel;
-  double all = 0;  // NaN or infinite as soon as one pebble is
-  for (std::size_t b = 0; b < bodies_.size(); ++b) {
-    double square = 0, growth = 0;
-    for (std::int32_t p = particles.pebble_begin[b]; p < particles.pebble_begin[b + 1]; ++p) {
-      const PebbleRecord& now = pebbles_[p];
-      const Mark& then = marks[p];
-      const double x = now.x - then.x, y = now.y - then.y, z = now.z - then.z;
-      square = std::max(x * x + y * y + z * z, square);
-      growth = std::max(growth, now.radius - then.radius);
-      all += x + y + z;
+std::int32_t PairContacts::chunk_body(const Particles& particles, std::size_t chunk) const {
+  return static_cast<std::int32_t>(std::min(chunk * chunk_bodies, particles.body_count()));
+}
+
+std::int32_t PairContacts::chunk_pebble(const Particles& particles, std::size_t chunk) const {
+  return particles.pebble_begin(static_cast<std::size_t>(chunk_body(particles, chunk)));
+}
+
+TravelLimits PairContacts::limits() const {
+  return {static_cast<std::uint64_t>(refreshes_), marks_.data(), growth_share * skin_};
+}
+
+void PairContacts::update(const Particles& particles, Team& team) {
+  LOCKSTEP_ASSERT(!has_lists_ || marks_.size() == particles.pebble_count(),
+                  "pebbles were added or removed without clear_history");
+  const bool is_shared_out = thread_chunk_.size() == static_cast<std::size_t>(team.size()) + 1;
+  if (has_lists_ && is_shared_out && !has_left(particles, team)) return;
+  if (!has_lists_ || is_outer_used_up(particles)) rebuild_outer(particles, team);
+  refresh_inner(particles, team);
+}
+
+// Whether any pebble has gone beyond its limit, or to no finite place.
+bool PairContacts::has_left(const Particles& particles, Team& team) const {
+  const double growth = particles.growth() - growth_;
+  if (growth > growth_share * skin_) return true;
+  std::atomic<bool> any = false;
+  team.run([&](int thread) {
+    const auto t = static_cast<std::size_t>(thread);
+    const SphereRecord* pebbles = particles.pebbles();
+    const auto end = static_cast<std::size_t>(chunk_pebble(particles, thread_chunk_[t + 1]));
+    int left = 0;
+    for (auto p = static_cast<std::size_t>(chunk_pebble(particles, thread_chunk_[t])); p < end; ++p) {
+      const double limit = marks_[p].radius - growth;
+      left |= !(squared_distance(pebbles[p], marks_[p]) <= limit * limit);
     }
-    // The root is taken only of bodies that matter.
-    const double room = travel.second - growth;
-    if (room < 0 || square > room * room) {
-      const double reach = std::sqrt(square) + growth;
-      if (reach > travel.largest) {
-        travel.second = travel.largest;
-        travel.largest = reach;
-      } else {
-        travel.second = std::max(travel.second, reach);
+    if (left) any.store(true, std::memory_order_relaxed);
+  });
+  return any;
+}
+
+// The inner list takes every pair with a gap below the skin, and all partners of fast pebbles: none of them may be
+// missing from the outer list.
+bool PairContacts::is_outer_used_up(const Particles& particles) const {
+  const double limit = 0.5 * (outer_skin_factor - 1) * skin_ - (particles.growth() - outer_growth_);
+  if (limit <= 0) return true;
+  const SphereRecord* pebbles = particles.pebbles();
+  for (std::size_t p = 0; p < outer_marks_.size(); ++p)
+    if (!(squared_distance(pebbles[p], outer_marks_[p]) <= limit * limit)) return true;
+  return false;
+}
+
+void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
+  search_.sort(particles, outer_skin_factor * skin_, period_);
+  const std::size_t chunks = chunk_count(particles);
+  outer_.resize(chunks);
+  std::atomic<std::size_t> next = 0;
+  team.run([&](int) {
+    std::vector<std::int32_t> near;
+    for (std::size_t c = next++; c < chunks; c = next++) {
+      OuterChunk& chunk = outer_[c];
+      chunk.begin.clear(), chunk.partners.clear();
+      for (std::int32_t i = chunk_pebble(particles, c); i < chunk_pebble(particles, c + 1); ++i) {
+        chunk.begin.push_back(static_cast<std::int32_t>(chunk.partners.size()));
+        search_.partners_after(particles, i, near);
+        chunk.partners.insert(chunk.partners.end(), near.begin(), near.end());
       }
+      chunk.begin.push_back(static_cast<std::int32_t>(chunk.partners.size()));
+      chunk.partners.shrink_to_fit();
     }
-  }
-  if (!std::isfinite(all)) travel.largest = std::numeric_limits<double>::infinity();
-  return travel;
-}
-
-void PairContacts::update(const Particles& particles) {
-  load(particles);
-  const bool is_same_crowd = has_lists_ && outer_marks_.size() == pebbles_.size();
-  LOCKSTEP_ASSERT(is_same_crowd || !has_lists_, "pebbles were added or removed without clear_history");
-  if (!has_lists_) {
-    rebuild_outer(particles);
-    refresh_inner();
-  } else if (!(travel_since(inner_marks_, particles).sum() <= skin_)) {
-    // The inner list takes every pair with a gap below the skin: none of them may be missing from the outer list.
-    if (!(travel_since(outer_marks_, particles).sum() <= (outer_skin_factor - 1) * skin_)) rebuild_outer(particles);
-    refresh_inner();
-  }
-}
-
-void PairContacts::rebuild_outer(const Particles& particles) {
-  search_.find(particles, outer_skin_factor * skin_, period_, outer_);
-  outer_marks_.resize(pebbles_.size());
-  for (std::size_t p = 0; p < pebbles_.size(); ++p)
-    outer_marks_[p] = {pebbles_[p].x, pebbles_[p].y, pebbles_[p].z, pebbles_[p].radius};
+  });
+  outer_marks_.assign(particles.pebbles(), particles.pebbles() + particles.pebble_count());
+  outer_growth_ = particles.growth();
   has_lists_ = true;
   ++rebuilds_;
 }
 
-void PairContacts::refresh_inner() {
-  next_pairs_.clear();
-  next_history_.clear();
-  if (period_) image_.clear();
-  std::size_t old = 0;  // walks the present list along with the outer one: both are sorted by (i, j)
-  for (const PebblePair& pair : outer_) {
-    const PebbleRecord &i = pebbles_[pair.i], &j = pebbles_[pair.j];
-    Vec3 d(j.x - i.x, j.y - i.y, j.z - i.z);
-    std::array<std::int16_t, 3> image = {0, 0, 0};
-    if (period_) {
-      image = nearest_image(d, *period_);
-      for (int k = 0; k < 3; ++k) d[k] += image[k] * (*period_)[k];
-    }
-    const double range = i.radius + j.radius + skin_;
-    if (!(d.squaredNorm() < range * range)) continue;
-    while (old < pairs_.size() && (pairs_[old].i < pair.i || (pairs_[old].i == pair.i && pairs_[old].j < pair.j)))
-      ++old;
-    const bool is_known = old < pairs_.size() && pairs_[old].i == pair.i && pairs_[old].j == pair.j;
-    next_pairs_.push_back(pair);
-    next_history_.push_back(is_known ? history_[old] : ContactHistory{});
-    if (period_) image_.push_back(image);
+void PairContacts::refresh_inner(const Particles& particles, Team& team) {
+  const std::size_t pebbles = particles.pebble_count();
+  const SphereRecord* record = particles.pebbles();
+  const double calm = 0.5 * skin_ - (particles.growth() - growth_);
+  const double outer_growth = particles.growth() - outer_growth_;
+  const bool has_marks = marks_.size() == pebbles;
+  marks_.resize(pebbles);
+  is_fast_.resize(pebbles);
+  for (std::size_t p = 0; p < pebbles; ++p) {
+    is_fast_[p] = has_marks && !(squared_distance(record[p], marks_[p]) <= calm * calm);
+    const double outer_travel = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
+    marks_[p] = record[p];
+    marks_[p].radius = is_fast_[p] ? 0.5 * outer_skin_factor * skin_ - outer_travel : 0.5 * skin_;
   }
-  pairs_.swap(next_pairs_);
-  history_.swap(next_history_);
-  inner_marks_.resize(pebbles_.size());
-  for (std::size_t p = 0; p < pebbles_.size(); ++p)
-    inner_marks_[p] = {pebbles_[p].x, pebbles_[p].y, pebbles_[p].z, pebbles_[p].radius};
+  growth_ = particles.growth();
+
+  chunks_.resize(chunk_count(particles));
+  sums_.resize(chunks_.size());
+  scratch_.resize(static_cast<std::size_t>(team.size()));
+  borders_.resize(static_cast<std::size_t>(team.size()));
+  std::atomic<std::size_t> next = 0;
+  team.run([&](int thread) {
+    for (std::size_t c = next++; c < chunks_.size(); c = next++)
+      fill_chunk(particles, c, scratch_[static_cast<std::size_t>(thread)]);
+  });
+  share_out(particles, team.size());
+  team.run([&](int thread) { fill_border(particles, thread); });
   ++refreshes_;
 }
 
-// For each entry of the inner list: distance, and if the pebbles overlap
-//   contact point   x_i + (r_i - U/2) n, the middle of the overlap, the same for both bodies
-//   V               velocity of B there less that of A               (paper eq. 4)
-//   the law         contact_law.hpp                                  (eqs 3, 8-11)
-//   loads           force and moment about each centre of mass       (eq. 12)
-// Block by block: which entries touch, without a branch to mispredict; their distances, all roots and divisions under
-// way at once; then the contacts one after the other. Flattened, since the law as a call costs a fifth of the loop.
-template <bool is_periodic, bool has_dashpot>
-[[gnu::flatten]] ContactTotals PairContacts::compute_pairs(double time_step) {
-  ContactTotals totals;
-  const std::size_t count = pairs_.size();
-  const Vec3 period = is_periodic ? *period_ : Vec3::Zero();
-  const double shear_share = 1 / material_.stiffness_ratio;
-  double energy = 0;  // twice the elastic energy
-  std::array<std::size_t, pair_block> touching, parted;
-  std::array<Vec3, pair_block> apart;  // x_j - x_i of those that touch
-  std::array<double, pair_block> distances, inverses;
-  for (std::size_t begin = 0; begin < count; begin += pair_block) {
-    std::size_t touching_count = 0, parted_count = 0;
-    for (std::size_t k = begin; k < std::min(begin + pair_block, count); ++k) {
-      const PebblePair& ahead = pairs_[std::min(k + pair_block, count - 1)];
-      __builtin_prefetch(&pebbles_[ahead.j]);
-      __builtin_prefetch(&bodies_[ahead.b]);
-      __builtin_prefetch(&loads_[ahead.b], 1);
-      const PebbleRecord &pi = pebbles_[pairs_[k].i], &pj = pebbles_[pairs_[k].j];
-      Vec3 d(pj.x - pi.x, pj.y - pi.y, pj.z - pi.z);
-      if constexpr (is_periodic)
-        for (int axis = 0; axis < 3; ++axis) d[axis] += image_[k][axis] * period[axis];
-      const double reach = pi.radius + pj.radius, square = d.squaredNorm();
-      const bool is_touching = square < reach * reach;
-      apart[touching_count] = d;
-      distances[touching_count] = square;
-      touching[touching_count] = parted[parted_count] = k;
-      touching_count += is_touching;
-      parted_count += !is_touching;
-    }
-    for (std::size_t n = 0; n < parted_count; ++n) history_[parted[n]] = ContactHistory{};
-    for (std::size_t n = 0; n < touching_count; ++n) {
-      distances[n] = std::sqrt(distances[n]);
-      inverses[n] = 1 / distances[n];
-    }
-
-    for (std::size_t n = 0; n < touching_count; ++n) {
-      const PebblePair& pair = pairs_[touching[n]];
-      const PebbleRecord &pi = pebbles_[pair.i], &pj = pebbles_[pair.j];
-      ContactHistory& history = history_[touching[n]];
-      const double overlap = pi.radius + pj.radius - distances[n];
-      const Vec3 normal = apart[n] * inverses[n];
-
-      const BodyRecord &a = bodies_[pair.a], &b = bodies_[pair.b];
-      const double arm_i = pi.radius - 0.5 * overlap, arm_j = pj.radius - 0.5 * overlap;
-      const Vec3 lever_a = Vec3(pi.lever_x, pi.lever_y, pi.lever_z) + arm_i * normal;
-      const Vec3 lever_b = Vec3(pj.lever_x, pj.lever_y, pj.lever_z) - arm_j * normal;
-      const Vec3 relative_velocity = Vec3(b.vx - a.vx, b.vy - a.vy, b.vz - a.vz) +
-                                     Vec3(b.wx, b.wy, b.wz).cross(lever_b) - Vec3(a.wx, a.wy, a.wz).cross(lever_a);
-
-      ContactMaterial pair_material;
-      pair_material.normal_stiffness = material_.normal_stiffness(a.equivalent_radius, b.equivalent_radius);
-      pair_material.shear_stiffness = pair_material.normal_stiffness * shear_share;
-      pair_material.friction = material_.friction;
-      if constexpr (has_dashpot)
-        pair_material.normal_dashpot =
-            pair_dashpot(material_.damping_ratio, pair_material.normal_stiffness, a.mass, b.mass);
-      const ContactResult result = contact_force(pair_material, normal, overlap, relative_velocity, time_step, history);
-
-      const Vec3& force = result.force_on_a;
-      const Vec3 torque_a = lever_a.cross(force), torque_b = lever_b.cross(force);
-      Load& on_a = loads_[pair.a];
-      on_a.fx += force.x(), on_a.fy += force.y(), on_a.fz += force.z();
-      on_a.tx += torque_a.x(), on_a.ty += torque_a.y(), on_a.tz += torque_a.z();
-      Load& on_b = loads_[pair.b];
-      on_b.fx -= force.x(), on_b.fy -= force.y(), on_b.fz -= force.z();
-      on_b.tx -= torque_b.x(), on_b.ty -= torque_b.y(), on_b.tz -= torque_b.z();
-
-      ++totals.active;
-      totals.normal_force += result.normal_force;
-      totals.contact_force += force.norm();
-      energy += pair_material.normal_stiffness * overlap * overlap +
-                history.spring.squaredNorm() / pair_material.shear_stiffness;
-      totals.slip_work += result.slip_work;
-      if constexpr (has_dashpot) totals.dashpot_work += result.dashpot_power * time_step;
-      const double smaller = std::min(a.equivalent_radius, b.equivalent_radius);
-      if (overlap > totals.largest_overlap_ratio * smaller) totals.largest_overlap_ratio = overlap / smaller;
+void PairContacts::fill_chunk(const Particles& particles, std::size_t c, Chunk& scratch) {
+  const OuterChunk& outer = outer_[c];
+  Chunk& old = chunks_[c];
+  const SphereRecord* pebbles = particles.pebbles();
+  {
+    Writer writer(scratch, particles, period_.has_value());
+    std::size_t known = 0;  // walks the present list along with the outer one: both are sorted by (i, j)
+    const auto pair_at = [&](std::size_t k) {
+      const PairTile& tile = old.pairs[k / tile_size];
+      return std::pair(tile.i[k % tile_size], tile.j[k % tile_size]);
+    };
+    const std::int32_t first = chunk_pebble(particles, c);
+    for (std::size_t n = 0; n + 1 < outer.begin.size(); ++n) {
+      const std::int32_t i = first + static_cast<std::int32_t>(n);
+      for (std::int32_t k = outer.begin[n]; k < outer.begin[n + 1]; ++k) {
+        const std::int32_t j = outer.partners[k];
+        Vec3 d(pebbles[j].x - pebbles[i].x, pebbles[j].y - pebbles[i].y, pebbles[j].z - pebbles[i].z);
+        Vec3 shift = Vec3::Zero();
+        if (period_) {
+          shift = nearest_image(d, *period_);
+          d += shift;
+        }
+        const double range = pebbles[i].radius + pebbles[j].radius + skin_;
+        if (!(d.squaredNorm() < range * range) && !is_fast_[i] && !is_fast_[j]) continue;
+        while (known < old.count && pair_at(known) < std::pair(i, j)) ++known;
+        const bool is_known = known < old.count && pair_at(known) == std::pair(i, j);
+        writer.add(i, j, shift, is_known ? spring_of(old.springs, known) : Vec3::Zero());
+      }
     }
   }
-  totals.elastic_energy = 0.5 * energy;
-  return totals;
+  // Copied, not swapped: a chunk keeps no more memory than it needs.
+  old = scratch;
 }
 
-ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& material, double time_step) {
-  LOCKSTEP_ASSERT(bodies_.size() == particles.body_count(), "compute without update");
+// Threads get chunks of about equal numbers of tiles.
+void PairContacts::share_out(const Particles& particles, int threads) {
+  std::size_t tiles = 0;
+  for (const Chunk& chunk : chunks_) tiles += chunk.pairs.size();
+  thread_chunk_.assign(1, 0);
+  partition_.body_begin.assign(1, 0);
+  std::size_t chunk = 0, taken = 0;
+  for (int thread = 1; thread <= threads; ++thread) {
+    const std::size_t share = tiles * static_cast<std::size_t>(thread) / static_cast<std::size_t>(threads);
+    while (chunk < chunks_.size() && (thread == threads || taken + chunks_[chunk].pairs.size() / 2 < share))
+      taken += chunks_[chunk++].pairs.size();
+    thread_chunk_.push_back(chunk);
+    partition_.body_begin.push_back(chunk_body(particles, chunk));
+  }
+}
+
+// Copies of the entries whose A belongs to a lower thread and whose B to this one.
+void PairContacts::fill_border(const Particles& particles, int thread) {
+  const auto t = static_cast<std::size_t>(thread);
+  Writer writer(borders_[t], particles, period_.has_value());
+  const std::int32_t first = partition_.body_begin[t], end = partition_.body_begin[t + 1];
+  for (std::size_t c = 0; c < thread_chunk_[t]; ++c) {
+    const Chunk& chunk = chunks_[c];
+    for (std::size_t k = 0; k < chunk.count; ++k) {
+      const PairTile& tile = chunk.pairs[k / tile_size];
+      const std::int32_t j = tile.j[k % tile_size], b = particles.pebble_body(j);
+      if (b >= first && b < end)
+        writer.add(tile.i[k % tile_size], j, shift_of(chunk.shifts, k), spring_of(chunk.springs, k));
+    }
+  }
+}
+
+// -------------------------------------------------------------------------------------------------------- the forces
+
+ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& material, double time_step,
+                                    Detail detail, Team& team) {
+  LOCKSTEP_ASSERT(has_lists_ && marks_.size() == particles.pebble_count(), "compute without update");
+  if (material.friction == 0 && material_.friction != 0)  // a kernel without friction leaves springs as they are
+    for (std::vector<Chunk>* group : {&chunks_, &borders_})
+      for (Chunk& chunk : *group) std::fill(chunk.springs.begin(), chunk.springs.end(), SpringTile{});
   material_ = material;
-  std::fill(loads_.begin(), loads_.end(), Load{});
-  const bool has_dashpot = material.damping_ratio > 0;
+
+  PairKernelTraits traits;
+  traits.has_clumps = particles.has_clumps();
+  traits.has_friction = material.friction > 0;
+  traits.has_dashpot = material.damping_ratio > 0;
+  traits.is_periodic = period_.has_value();
+  traits.detail = detail;
+  const PairKernel free_kernel = kernel_of(instructions_, traits);
+  traits.is_bounded = true;
+  const PairKernel bounded_kernel = kernel_of(instructions_, traits);
+  const PairLaw law = {material.contact_modulus, 1 / material.stiffness_ratio, material.friction,
+                       material.damping_ratio, time_step};
+  const auto stretch = [](Chunk& chunk, std::size_t begin, std::size_t end) {
+    return PairStretch{chunk.pairs.data() + begin, chunk.bodies.data() + (chunk.bodies.empty() ? 0 : begin),
+                       chunk.shifts.data() + (chunk.shifts.empty() ? 0 : begin), chunk.springs.data() + begin,
+                       end - begin};
+  };
+  team.run([&](int thread) {
+    const auto t = static_cast<std::size_t>(thread);
+    const PairState state = {particles.pebbles(), particles.bodies(),       particles.motion(),
+                             particles.loads(),   partition_.body_begin[t], partition_.body_begin[t + 1]};
+    PairSums counted_elsewhere;
+    bounded_kernel(state, stretch(borders_[t], 0, borders_[t].pairs.size()), law, counted_elsewhere);
+    for (std::size_t c = thread_chunk_[t]; c < thread_chunk_[t + 1]; ++c) {
+      Chunk& chunk = chunks_[c];
+      sums_[c] = PairSums{};
+      if (chunk.pairs.empty()) continue;
+      // The last tile may hold entries of nobody.
+      const std::size_t last = chunk.pairs.size() - 1;
+      const bool crosses = chunk.last_body >= state.end_body;
+      (crosses ? bounded_kernel : free_kernel)(state, stretch(chunk, 0, last), law, sums_[c]);
+      bounded_kernel(state, stretch(chunk, last, last + 1), law, sums_[c]);
+    }
+  });
+
   ContactTotals totals;
-  if (period_)
-    totals = has_dashpot ? compute_pairs<true, true>(time_step) : compute_pairs<true, false>(time_step);
-  else
-    totals = has_dashpot ? compute_pairs<false, true>(time_step) : compute_pairs<false, false>(time_step);
-  for (std::size_t b = 0; b < loads_.size(); ++b) {
-    const Load& l = loads_[b];
-    particles.force[b] += Vec3(l.fx, l.fy, l.fz);
-    particles.torque[b] += Vec3(l.tx, l.ty, l.tz);
+  double active = 0;
+  for (const PairSums& sums : sums_) {
+    totals.slip_work += sums.slip_work;
+    totals.dashpot_work += sums.dashpot_work;
+    active += sums.active;
+    totals.normal_force += sums.normal_force;
+    totals.contact_force += sums.contact_force;
+    totals.normal_energy += sums.normal_energy;
+    totals.shear_energy += sums.shear_energy;
+    totals.largest_overlap_ratio = std::max(totals.largest_overlap_ratio, sums.largest_overlap_ratio);
   }
+  totals.active = static_cast<std::int64_t>(active);
   return totals;
 }
 
-Vec3 PairContacts::center_to_center(std::size_t k) const {
-  const PebbleRecord &i = pebbles_[pairs_[k].i], &j = pebbles_[pairs_[k].j];
-  Vec3 d(j.x - i.x, j.y - i.y, j.z - i.z);
-  if (period_)
-    for (int axis = 0; axis < 3; ++axis) d[axis] += image_[k][axis] * (*period_)[axis];
-  return d;
-}
-
-Vec3 PairContacts::branch(std::size_t k) const {
-  const PebbleRecord &i = pebbles_[pairs_[k].i], &j = pebbles_[pairs_[k].j];
-  return center_to_center(k) + Vec3(i.lever_x - j.lever_x, i.lever_y - j.lever_y, i.lever_z - j.lever_z);
-}
-
-ContactView PairContacts::view(std::size_t k) const {
-  const PebblePair& pair = pairs_[k];
-  const PebbleRecord &pi = pebbles_[pair.i], &pj = pebbles_[pair.j];
-  const BodyRecord &a = bodies_[pair.a], &b = bodies_[pair.b];
-  ContactView v;
-  v.body_a = pair.a;
-  v.body_b = pair.b;
-  v.normal = history_[k].normal;
-  v.overlap = pi.radius + pj.radius - center_to_center(k).norm();
-  const double arm_i = pi.radius - 0.5 * v.overlap, arm_j = pj.radius - 0.5 * v.overlap;
-  v.point = Vec3(pi.x, pi.y, pi.z) + arm_i * v.normal;
-  v.normal_stiffness = material_.normal_stiffness(a.equivalent_radius, b.equivalent_radius);
-  v.shear_stiffness = v.normal_stiffness / material_.stiffness_ratio;
-  double normal_force = v.normal_stiffness * v.overlap;
+PairContacts::Entry PairContacts::entry_of(const Particles& particles, const Chunk& chunk, std::size_t k) const {
+  const PairTile& tile = chunk.pairs[k / tile_size];
+  const std::int32_t i = tile.i[k % tile_size], j = tile.j[k % tile_size];
+  const Vec3 center_i = particles.pebble_center(i), center_j = particles.pebble_center(j) + shift_of(chunk.shifts, k);
+  const double radius_i = particles.pebble_radius(i), radius_j = particles.pebble_radius(j);
+  const Vec3 d = center_j - center_i;
+  const double distance = d.norm();
+  Entry entry;
+  ContactView& c = entry.contact;
+  c.overlap = radius_i + radius_j - distance;
+  if (!(c.overlap > 0)) return entry;
+  c.body_a = particles.pebble_body(i);
+  c.body_b = particles.pebble_body(j);
+  const Vec3 position_a = particles.position(c.body_a), position_b = particles.position(c.body_b);
+  entry.branch = d + (position_b - particles.pebble_center(j)) - (position_a - center_i);
+  c.normal = distance > 0 ? Vec3(d / distance) : Vec3(Vec3::UnitZ());
+  c.point = center_i + (radius_i - 0.5 * c.overlap) * c.normal;
+  const double radius_a = particles.equivalent_radius(c.body_a), radius_b = particles.equivalent_radius(c.body_b);
+  c.normal_stiffness = material_.normal_stiffness(radius_a, radius_b);
+  c.shear_stiffness = c.normal_stiffness / material_.stiffness_ratio;
+  double normal_force = c.normal_stiffness * c.overlap;
   if (material_.damping_ratio > 0) {
-    const Vec3 lever_a = Vec3(pi.lever_x, pi.lever_y, pi.lever_z) + arm_i * v.normal;
-    const Vec3 lever_b = Vec3(pj.lever_x, pj.lever_y, pj.lever_z) - arm_j * v.normal;
-    const Vec3 relative_velocity = Vec3(b.vx - a.vx, b.vy - a.vy, b.vz - a.vz) + Vec3(b.wx, b.wy, b.wz).cross(lever_b) -
-                                   Vec3(a.wx, a.wy, a.wz).cross(lever_a);
-    const double dashpot = pair_dashpot(material_.damping_ratio, v.normal_stiffness, a.mass, b.mass);
-    normal_force = std::max(0.0, normal_force - dashpot * relative_velocity.dot(v.normal));
+    const Vec3 lever_b = c.point - position_a - entry.branch;
+    const Vec3 approach = particles.velocity(c.body_b) + particles.spin(c.body_b).cross(lever_b) -
+                          particles.velocity_at(c.body_a, c.point);
+    const double dashpot =
+        pair_dashpot(material_.damping_ratio, c.normal_stiffness, particles.mass(c.body_a), particles.mass(c.body_b));
+    normal_force = std::max(0.0, normal_force - dashpot * approach.dot(c.normal));
   }
-  v.force_on_a = history_[k].spring - normal_force * v.normal;
-  return v;
+  c.force_on_a = spring_of(chunk.springs, k) - normal_force * c.normal;
+  return entry;
 }
 
-void PairContacts::hash(Hash& h) const {
-  for (std::size_t k = 0; k < pairs_.size(); ++k)
-    if (history_[k].normal != Vec3::Zero()) {
-      h.add(static_cast<std::uint64_t>(pairs_[k].i));
-      h.add(static_cast<std::uint64_t>(pairs_[k].j));
-      h.add(history_[k].spring);
-      h.add(history_[k].normal);
-    }
-}
+// ------------------------------------------------------------------------------------------------- state and memory
 
 std::vector<PairContacts::Spring> PairContacts::springs() const {
   std::vector<Spring> all;
-  for (std::size_t k = 0; k < pairs_.size(); ++k)
-    if (history_[k].normal != Vec3::Zero()) all.push_back({pairs_[k].i, pairs_[k].j, history_[k]});
+  for (const Chunk& chunk : chunks_)
+    for (std::size_t k = 0; k < chunk.count; ++k)
+      if (const Vec3 spring = spring_of(chunk.springs, k); spring != Vec3::Zero()) {
+        const PairTile& tile = chunk.pairs[k / tile_size];
+        all.push_back({tile.i[k % tile_size], tile.j[k % tile_size], spring});
+      }
   return all;
 }
 
-void PairContacts::restore(const std::vector<Spring>& springs) {
+void PairContacts::hash(Hash& h) const {
+  for (const Spring& spring : springs()) {
+    h.add(static_cast<std::uint64_t>(spring.i));
+    h.add(static_cast<std::uint64_t>(spring.j));
+    h.add(spring.force);
+  }
+}
+
+void PairContacts::restore(const Particles& particles, const std::vector<Spring>& springs) {
   clear_history();
-  for (const Spring& s : springs) {
-    pairs_.push_back({s.i, s.j, -1, -1});  // only (i, j) is read when the next list takes the history over
-    history_.push_back(s.history);
+  chunks_.resize(chunk_count(particles));
+  auto next = springs.begin();
+  for (std::size_t c = 0; c < chunks_.size(); ++c) {
+    Writer writer(chunks_[c], particles, period_.has_value());
+    for (; next != springs.end() && next->i < chunk_pebble(particles, c + 1); ++next)
+      writer.add(next->i, next->j, Vec3::Zero(), next->force);
   }
 }
 
 void PairContacts::clear_history() {
-  pairs_.clear();
-  history_.clear();
-  image_.clear();
+  chunks_.clear();
+  borders_.clear();
   outer_.clear();
+  marks_.clear();
+  outer_marks_.clear();
+  thread_chunk_.clear();
   has_lists_ = false;
+}
+
+std::size_t PairContacts::entries() const {
+  std::size_t count = 0;
+  for (const Chunk& chunk : chunks_) count += chunk.count;
+  return count;
+}
+
+std::size_t PairContacts::memory() const {
+  const auto bytes = [](const auto& values) { return values.capacity() * sizeof(values[0]); };
+  std::size_t sum = search_.memory() + bytes(marks_) + bytes(outer_marks_) + bytes(is_fast_) + bytes(sums_);
+  for (const auto* group : {&chunks_, &borders_, &scratch_})
+    for (const Chunk& chunk : *group)
+      sum += bytes(chunk.pairs) + bytes(chunk.bodies) + bytes(chunk.shifts) + bytes(chunk.springs);
+  for (const OuterChunk& chunk : outer_) sum += bytes(chunk.begin) + bytes(chunk.partners);
+  return sum;
 }
 
 }  // namespace lockstep::dem

@@ -6,140 +6,158 @@
 // Both lists are half lists sorted by pebble pair (i, j), and the forces are added in that order: bits do not depend on
 // the skin, nor on when a list was renewed. Springs are carried from list to list by merging the two sorted lists.
 //
-// When a list is renewed. Each body has a reach u_b: how far any of its pebbles has moved or grown since the list was
-// made. A pair cannot close a gap of s before u_a + u_b > s, so the sum of the two largest u of all bodies is the test.
-// It is exact travel and not a sum of speeds: a rattler that flies to and fro in its cage renews the list no more than
-// its cage is wide.
+// CHUNKS. The lists are cut into chunks of chunk_bodies bodies (those of i), filled up to whole tiles of eight entries.
+// A chunk is what a thread works on, and what sums are taken over: neither depends on how many threads there are.
 //
-// Rejected: one record per contact gathered by body (1.7 times slower, facts of the kernel study), a list walked twice
-// (both bodies; same), structure-of-arrays (no faster for pairs). What a pair needs of its two sides stands in two
-// 64-byte records each; loads are summed in a third.
+// THREADS. Each thread owns a range of chunks and with it their bodies. A contact across a border of ranges is computed
+// by both owners, each adding the load of its own body: the upper one from a copy of the entry in its `border`, before
+// its own chunks, which keeps the order of the list for each body. So nothing is shared while forces are summed, and
+// any number of threads gives the same bits.
 //
-// Periodic cell: pairs carry the whole cells between their images; bodies are never moved back into the cell.
+// WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is
+// not in the inner list has a gap of at least s, so h = s/2 is safe for both. A pebble that has used up s/2 while all
+// others have hardly moved, a rattler flying in its cage, would renew the list again and again; such a pebble gets all
+// its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. Displacements are
+// exact travel, not sums of speeds.
+//
+// Rejected: one record per contact gathered by body (1.7 times slower), a list walked twice (both bodies; same),
+// structure-of-arrays (no faster for pairs).
+//
+// Periodic cell: pairs carry the shift between their images; bodies are never moved back into the cell.
 #pragma once
-#include <array>
 #include <cstdint>
 #include <optional>
 #include <vector>
 
 #include "common/hash.hpp"
+#include "common/parallel.hpp"
 #include "dem_server/contact_law.hpp"
+#include "dem_server/instructions.hpp"
 #include "dem_server/neighbor_search.hpp"
+#include "dem_server/pair_kernel.hpp"
 #include "dem_server/particles.hpp"
+#include "dem_server/travel.hpp"
 
 namespace lockstep::dem {
 
-// Of one call of compute, that is of one step.
+// Of one call of compute, that is of one step: the works from Detail::Works on, the rest with Detail::All.
 struct ContactTotals {
+  double slip_work = 0;              // taken out by sliding in this step [J]
+  double dashpot_work = 0;           // taken out by dashpots in this step [J]
   std::int64_t active = 0;           // touching pairs of pebbles
   double normal_force = 0;           // sum of |F_n| [N]
   double contact_force = 0;          // sum of |F| [N]
-  double elastic_energy = 0;         // in all springs, at t_n [J]
-  double slip_work = 0;              // taken out by sliding in this step [J]
-  double dashpot_work = 0;           // taken out by dashpots in this step [J]
+  double normal_energy = 0;          // elastic, in normal springs, at t_n [J]
+  double shear_energy = 0;           // elastic, in shear springs, at t_n [J]
   double largest_overlap_ratio = 0;  // overlap over the smaller equivalent radius [-]
+  double elastic_energy() const { return normal_energy + shear_energy; }
 };
 
 class PairContacts {
  public:
   // `skin` of the inner list [m], about 0.05 of a radius. With `period` the cell is 0..period and images interact.
-  explicit PairContacts(double skin, std::optional<Vec3> period = {});
+  explicit PairContacts(double skin, std::optional<Vec3> period = {},
+                        InstructionSet instructions = best_instructions());
 
-  // Takes over positions and velocities, and renews the lists if the grains have moved too far. Call it once a step,
-  // before compute, with pebble centres placed. NumericalError when a position is not finite.
-  void update(const Particles& particles);
+  // Renews the lists if the grains have moved too far. Call it once a step, before anything is computed, with pebble
+  // centres placed. NumericalError when a position is not finite.
+  void update(const Particles& particles, Team& team = Team::alone());
 
-  // Contact forces at t_n, added to `particles.force` and `.torque`. `time_step` is the step that led to t_n [s].
-  ContactTotals compute(Particles& particles, const GrainMaterial& material, double time_step);
+  // Contact forces at t_n, added to the loads of `particles`. `time_step` is the step that led to t_n [s].
+  ContactTotals compute(Particles& particles, const GrainMaterial& material, double time_step,
+                        Detail detail = Detail::All, Team& team = Team::alone());
 
-  // Visits each touching pair, as of the last compute, in order. With a periodic cell `point` lies beside body A.
+  // How far pebbles may go before the next renewal, and which thread owns which bodies until then.
+  TravelLimits limits() const;
+  const Partition& partition() const { return partition_; }
+
+  // Visits each pair that overlaps at the present positions, in order. With a periodic cell `point` lies beside body A.
   template <class Visitor>
-  void for_each_contact(Visitor&& visit) const {
-    for (std::size_t k = 0; k < pairs_.size(); ++k)
-      if (history_[k].normal != Vec3::Zero()) visit(view(k));
+  void for_each_contact(const Particles& particles, Visitor&& visit) const {
+    for_each_branch(particles, [&](const ContactView& contact, const Vec3&) { visit(contact); });
+  }
+  // With the branch from the centre of mass of A to that of B's image: in a periodic cell positions alone do not say
+  // which image touches.
+  template <class Visitor>
+  void for_each_branch(const Particles& particles, Visitor&& visit) const {
+    for (const Chunk& chunk : chunks_)
+      for (std::size_t k = 0; k < chunk.count; ++k)
+        if (const Entry entry = entry_of(particles, chunk, k); entry.contact.overlap > 0)
+          visit(entry.contact, entry.branch);
   }
 
-  // From the centre of mass of A to that of B's image, for the contact `k` of the list: what mean stress needs in a
-  // periodic cell, where the bodies' positions alone do not say which image touches.
-  template <class Visitor>
-  void for_each_branch(Visitor&& visit) const {
-    for (std::size_t k = 0; k < pairs_.size(); ++k)
-      if (history_[k].normal != Vec3::Zero()) visit(view(k), branch(k));
-  }
-
-  // Springs and normals of touching pairs.
+  // Springs of the pairs that have one.
   void hash(Hash& h) const;
-  // Contacts as they are carried across a restart: the touching pairs and what they remember, in order.
+  // Contacts as they are carried across a restart: the pairs that hold a spring, in order.
   struct Spring {
     std::int32_t i, j;  // pebbles
-    ContactHistory history;
+    Vec3 force;         // on A [N]
   };
   std::vector<Spring> springs() const;
   // Lists are made anew at the next update, which keeps these springs (pairs that are out of reach are dropped).
-  void restore(const std::vector<Spring>& springs);
+  void restore(const Particles& particles, const std::vector<Spring>& springs);
   // Forgets springs and lists: after bodies were added, removed or renumbered.
   void clear_history();
 
   std::int64_t rebuilds() const { return rebuilds_; }    // of the outer list, from cells
   std::int64_t refreshes() const { return refreshes_; }  // of the inner list, from the outer one
-  std::size_t entries() const { return pairs_.size(); }  // of the inner list
+  std::size_t entries() const;                           // of the inner list
+  std::size_t memory() const;                            // [bytes]
+  InstructionSet instructions() const { return instructions_; }
 
  private:
-  struct alignas(64) PebbleRecord {
-    double x, y, z, radius;            // [m]
-    double lever_x, lever_y, lever_z;  // from the body's centre of mass [m]
-    double unused;
+  // A stretch of the inner list, in tiles.
+  struct Chunk {
+    std::vector<PairTile> pairs;
+    std::vector<BodyTile> bodies;     // empty for spheres
+    std::vector<ShiftTile> shifts;    // empty without a period
+    std::vector<SpringTile> springs;  // empty without friction
+    std::size_t count = 0;            // of entries; the last tile may hold more
+    std::int32_t last_body = -1;      // the largest B
   };
-  struct alignas(64) BodyRecord {
-    double vx, vy, vz;         // [m/s]
-    double wx, wy, wz;         // [rad/s]
-    double equivalent_radius;  // [m]
-    double mass;               // [kg]
+  // A stretch of the outer list: partners of the pebbles of a chunk's bodies.
+  struct OuterChunk {
+    std::vector<std::int32_t> begin;  // one more than pebbles
+    std::vector<std::int32_t> partners;
   };
-  struct alignas(64) Load {
-    double fx, fy, fz, tx, ty, tz, unused_0, unused_1;  // [N], [N m]
+  struct Entry {
+    ContactView contact;
+    Vec3 branch;
   };
-  // Where a list found a pebble.
-  struct Mark {
-    double x, y, z, radius;  // [m]
-  };
-  struct Travel {
-    double largest = 0, second = 0;  // of all bodies, since the list was made [m]
-    double sum() const { return largest + second; }
-  };
+  class Writer;
 
-  void load(const Particles& particles);
-  Travel travel_since(const std::vector<Mark>& marks, const Particles& particles) const;
-  void rebuild_outer(const Particles& particles);
-  void refresh_inner();
-  template <bool is_periodic, bool has_dashpot>
-  ContactTotals compute_pairs(double time_step);
-  ContactView view(std::size_t k) const;
-  Vec3 center_to_center(std::size_t k) const;
-  Vec3 branch(std::size_t k) const;
-  ContactMaterial pair_material(const PebblePair& pair) const;
+  bool has_left(const Particles& particles, Team& team) const;
+  bool is_outer_used_up(const Particles& particles) const;
+  void rebuild_outer(const Particles& particles, Team& team);
+  void refresh_inner(const Particles& particles, Team& team);
+  void fill_chunk(const Particles& particles, std::size_t chunk, Chunk& scratch);
+  void fill_border(const Particles& particles, int thread);
+  void share_out(const Particles& particles, int threads);
+  Entry entry_of(const Particles& particles, const Chunk& chunk, std::size_t k) const;
+  std::size_t chunk_count(const Particles& particles) const;
+  std::int32_t chunk_body(const Particles& particles, std::size_t chunk) const;
+  std::int32_t chunk_pebble(const Particles& particles, std::size_t chunk) const;
 
   double skin_;
   std::optional<Vec3> period_;
+  InstructionSet instructions_;
   GrainMaterial material_;
   bool has_lists_ = false;
   std::int64_t rebuilds_ = 0, refreshes_ = 0;
 
   NeighborSearch search_;
-  std::vector<PebblePair> outer_;
-  std::vector<Mark> outer_marks_, inner_marks_;
+  std::vector<OuterChunk> outer_;
+  std::vector<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made
+  std::vector<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
+  std::vector<char> is_fast_;              // per pebble, at the last renewal
+  double outer_growth_ = 0, growth_ = 0;   // Particles::growth() then [m]
 
-  // The inner list, entry by entry.
-  std::vector<PebblePair> pairs_;
-  std::vector<ContactHistory> history_;
-  std::vector<std::array<std::int16_t, 3>> image_;  // whole cells added to x_j - x_i; empty without a period
-  std::vector<PebblePair> next_pairs_;
-  std::vector<ContactHistory> next_history_;
-
-  // State at t_n as of the last update.
-  std::vector<PebbleRecord> pebbles_;
-  std::vector<BodyRecord> bodies_;
-  std::vector<Load> loads_;
+  std::vector<Chunk> chunks_;
+  std::vector<PairSums> sums_;             // per chunk
+  std::vector<Chunk> borders_;             // per thread
+  std::vector<Chunk> scratch_;             // per thread
+  std::vector<std::size_t> thread_chunk_;  // first chunk of each thread, and one more
+  Partition partition_;
 };
 
 }  // namespace lockstep::dem

@@ -14,15 +14,24 @@ namespace lockstep::dem {
 
 namespace {
 
+void clear_loads(Model& m) {
+  m.particles.clear_forces();
+  m.has_loads = false;
+}
+
 void interface_contacts(Model& m) {
   const auto timing = m.profile.measure(Phase::InterfaceContacts);
   m.facet_totals = m.facets.compute(m.particles, m.facet_material, m.last_time_step);  // paper eqs 1-4, 8-13
 }
 
+void renew_lists(Model& m) {
+  const auto timing = m.profile.measure(Phase::Lists);
+  m.contacts.update(m.particles, *m.team);
+}
+
 void pair_contacts(Model& m) {
   const auto timing = m.profile.measure(Phase::PairContacts);
-  m.contacts.update(m.particles);
-  m.pair_totals = m.contacts.compute(m.particles, m.material, m.last_time_step);
+  m.pair_totals = m.contacts.compute(m.particles, m.material, m.last_time_step, m.detail, *m.team);
 }
 
 void wall_contacts(Model& m) {
@@ -33,8 +42,9 @@ void wall_contacts(Model& m) {
 
 void move(Model& m) {
   const auto timing = m.profile.measure(Phase::Motion);
-  integrate(m.particles, m.gravity, m.last_time_step, m.time_step, m.damping, m.motion,
-            m.is_fixed.empty() ? nullptr : &m.is_fixed);  // paper eqs 14-17
+  m.motion = integrate(m.particles, m.gravity, m.last_time_step, m.time_step, m.damping,
+                       {m.is_fixed.empty() ? nullptr : &m.is_fixed, m.team.get(), &m.contacts.partition(),
+                        m.contacts.instructions(), m.detail, fastest_travel});
   if (m.pile) m.pile->advance(m.time_step);
 }
 
@@ -43,11 +53,11 @@ void move(Model& m) {
 double first_touch_step(const Model& m, double damping) {
   double largest = 0;  // omega^2 [1/s2]
   for (std::size_t b = 0; b < m.particles.body_count(); ++b) {
-    const double radius = m.particles.equivalent_radius[b];
+    const double radius = m.particles.equivalent_radius(b);
     const double stiffness =
         std::max(m.facet_material.normal_stiffness(radius), 2 * m.material.normal_stiffness(radius, radius));
-    const double shear = 1 / m.particles.mass[b] + radius * radius / m.particles.inertia[b].minCoeff();
-    largest = std::max(largest, stiffness * std::max(1 / m.particles.mass[b], shear / m.material.stiffness_ratio));
+    const double shear = 1 / m.particles.mass(b) + radius * radius / m.particles.inertia(b).minCoeff();
+    largest = std::max(largest, stiffness * std::max(1 / m.particles.mass(b), shear / m.material.stiffness_ratio));
   }
   return 2 / std::sqrt(largest * (1 + damping));
 }
@@ -55,15 +65,14 @@ double first_touch_step(const Model& m, double damping) {
 // A body that crosses half the smallest grain within a step has lost its contacts' control: instability, or absurd
 // speed.
 void check_speed(const Model& m) {
-  if (m.motion.fastest_body < 0) return;
-  const auto body = m.motion.fastest_body;
-  if (m.motion.largest_speed * m.time_step < fastest_travel * m.particles.equivalent_radius[body]) return;
-  const Vec3& x = m.particles.position[body];
+  if (!m.motion.is_too_fast) return;
+  const auto body = fastest_body(m.particles);
+  const Vec3 x = m.particles.position(body);
   throw NumericalError(fmt::format(
       "step {}: grain {} at ({:.3g}, {:.3g}, {:.3g}) m moves at {:.3g} m/s, {:.2g} of its radius a step: the "
       "grains went unstable; lower fidelity.step_fraction, or the speeds that the scene imposes",
       m.step, body, x.x(), x.y(), x.z(), m.motion.largest_speed,
-      m.motion.largest_speed * m.time_step / m.particles.equivalent_radius[body]));
+      m.motion.largest_speed * m.time_step / m.particles.equivalent_radius(body)));
 }
 
 void book(Model& m) {
@@ -75,8 +84,9 @@ void book(Model& m) {
 
 bool cycle(Model& m, Boundary& boundary) {
   if (!boundary.move_facets(m)) return false;  // facets to x(n)                          (step 5 of the procedure)
-  m.particles.clear_forces();
-  interface_contacts(m);    // first, since the continuum waits for them
+  if (m.has_loads) clear_loads(m);
+  renew_lists(m);
+  interface_contacts(m);    // before the grains' own, since the continuum waits for them
   boundary.take_forces(m);  // nodal forces F(n)                       (step 6)
   pair_contacts(m);
   wall_contacts(m);
@@ -92,18 +102,20 @@ bool cycle(Model& m, Boundary& boundary) {
 void evaluate_forces(Model& m) {
   const double last = m.last_time_step;
   m.last_time_step = 0;  // no shear increments, no slip
-  m.particles.clear_forces();
+  clear_loads(m);
+  renew_lists(m);
   interface_contacts(m);
   pair_contacts(m);
   wall_contacts(m);
   m.last_time_step = last;
+  m.has_loads = true;
 }
 
 StepLimit stable_step(const Model& m, double damping) {
   StiffnessSum stiffness;
   stiffness.reset(m.particles.body_count());
   const auto add = [&](const ContactView& contact) { stiffness.add(contact, m.particles); };
-  m.contacts.for_each_contact(add);
+  m.contacts.for_each_contact(m.particles, add);
   m.facets.for_each_contact(add);
   m.planes.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);

@@ -4,9 +4,11 @@
 // (stages.cpp), the servo while the packing is balanced (servo.hpp). Both see the same step.
 #pragma once
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <vector>
 
+#include "common/parallel.hpp"
 #include "common/profile.hpp"
 #include "dem_server/contacts.hpp"
 #include "dem_server/integrator.hpp"
@@ -17,11 +19,14 @@
 
 namespace lockstep::dem {
 
-enum class Phase { WaitForPeer, InterfaceContacts, PairContacts, WallContacts, Motion, Ledger, Count };
+enum class Phase { WaitForPeer, Lists, InterfaceContacts, PairContacts, WallContacts, Motion, Ledger, Count };
 
 struct Model {
   // `skin` of the contact list [m].
-  explicit Model(double skin) : contacts(skin) {}
+  explicit Model(double skin, int threads = 1, InstructionSet instructions = best_instructions())
+      : team(std::make_unique<Team>(threads)), contacts(skin, {}, instructions) {}
+
+  std::unique_ptr<Team> team;
 
   Particles particles;
   std::vector<char> is_fixed;   // per body: held in place; empty when none is
@@ -34,6 +39,9 @@ struct Model {
   InterfaceFacets facets;
   Planes planes;
   std::optional<Pile> pile;
+
+  Detail detail = Detail::All;  // of the totals of the next step
+  bool has_loads = false;       // forces were evaluated without a step: the next one starts by clearing them
 
   std::uint64_t step = 0;
   double time = 0;            // t_n [s]

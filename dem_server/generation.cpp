@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "common/checks.hpp"
 #include "common/random.hpp"
@@ -73,26 +74,6 @@ Row porosity_row(int pebbles, double elongation) {
   return row;
 }
 
-void append_copy(const Particles& from, std::int32_t body, const Vec3& shift, Particles& to) {
-  to.position.push_back(from.position[body] + shift);
-  to.orientation.push_back(from.orientation[body]);
-  to.velocity.push_back(from.velocity[body]);
-  to.spin.push_back(from.spin[body]);
-  to.mass.push_back(from.mass[body]);
-  to.equivalent_radius.push_back(from.equivalent_radius[body]);
-  to.inertia.push_back(from.inertia[body]);
-  to.force.push_back(Vec3::Zero());
-  to.torque.push_back(Vec3::Zero());
-  const auto copy = static_cast<std::int32_t>(to.position.size() - 1);
-  for (std::int32_t p = from.pebble_begin[body]; p < from.pebble_begin[body + 1]; ++p) {
-    to.pebble_body.push_back(copy);
-    to.pebble_offset.push_back(from.pebble_offset[p]);
-    to.pebble_radius.push_back(from.pebble_radius[p]);
-    to.pebble_center.push_back(from.pebble_center[p] + shift);
-  }
-  to.pebble_begin.push_back(static_cast<std::int32_t>(to.pebble_body.size()));
-}
-
 // Grains in a fixed periodic cell whose size is the knob.
 class PackingCell {
  public:
@@ -105,31 +86,28 @@ class PackingCell {
 
   void set_friction(double friction) { material_.friction = friction; }
 
-  void grow(double relative) {
-    for (std::size_t b = 0; b < particles.body_count(); ++b)
-      particles.scale(static_cast<std::int32_t>(b), 1 + relative);
-  }
+  void grow(double relative) { particles.scale_all(1 + relative); }
 
   void cycle(int count, double drag) {
-    const double smallest = *std::min_element(particles.equivalent_radius.begin(), particles.equivalent_radius.end());
-    const double lightest = *std::min_element(particles.mass.begin(), particles.mass.end());
-    const double dt = step_share * std::sqrt(lightest / material_.normal_stiffness(smallest, smallest));
+    const double smallest = particles.smallest_radius();
+    const double dt = step_share * std::sqrt(particles.lightest() / material_.normal_stiffness(smallest, smallest));
     for (int k = 0; k < count; ++k, ++steps) {
-      particles.clear_forces();
       contacts_.update(particles);
       const ContactTotals totals = contacts_.compute(particles, material_, dt);
-      MotionTotals motion;
-      integrate(particles, Vec3::Zero(), dt, dt, packing_damping, motion);
+      const MotionTotals motion = integrate(particles, Vec3::Zero(), dt, dt, packing_damping);
       unbalanced =
           unbalanced_ratio(motion.unbalanced_force, particles.body_count(), totals.contact_force, totals.active);
-      for (Vec3& v : particles.velocity) v *= drag;
-      for (Vec3& w : particles.spin) w *= drag;
+      for (std::size_t b = 0; b < particles.body_count(); ++b) {
+        particles.velocity(b) *= drag;
+        particles.spin(b) *= drag;
+      }
     }
   }
 
   double pressure() const {
     double sum = 0;
-    contacts_.for_each_branch([&](const ContactView& c, const Vec3& branch) { sum += c.force_on_a.dot(branch); });
+    contacts_.for_each_branch(particles,
+                              [&](const ContactView& c, const Vec3& branch) { sum += c.force_on_a.dot(branch); });
     return -sum / (3 * period_.prod());
   }
 
@@ -137,7 +115,7 @@ class PackingCell {
 
   double coordination() const {
     Coordination coordination(particles.body_count());
-    contacts_.for_each_contact([&](const ContactView& c) { coordination.add(c); });
+    contacts_.for_each_contact(particles, [&](const ContactView& c) { coordination.add(c); });
     return coordination.mean();
   }
 
@@ -165,17 +143,15 @@ Particles insert_at_random(const CubeRequest& request, double factor, const Vec3
 }
 
 // Cells' order, so that neighbours in space are neighbours in memory.
-Particles sorted_in_space(const Particles& from, double cell) {
-  std::vector<std::int32_t> order(from.body_count());
+void sort_in_space(Particles& particles, double cell) {
+  std::vector<std::int32_t> order(particles.body_count());
   std::iota(order.begin(), order.end(), 0);
   const auto key = [&](std::int32_t b) {
-    const Vec3 c = (from.position[b] / cell).array().floor();
+    const Vec3 c = (std::as_const(particles).position(b) / cell).array().floor();
     return std::array<double, 3>{c.z(), c.y(), c.x()};
   };
   std::stable_sort(order.begin(), order.end(), [&](std::int32_t a, std::int32_t b) { return key(a) < key(b); });
-  Particles to;
-  for (const std::int32_t b : order) append_copy(from, b, Vec3::Zero(), to);
-  return to;
+  particles.reorder(order);
 }
 
 void check(const CubeRequest& request) {
@@ -302,38 +278,37 @@ Cube make_cube(const CubeRequest& request) {
   // Grains grew to fill the cell; the whole picture is now scaled so that they have the sizes asked for. Contact
   // stiffness goes as the radius and area as its square: the stresses stay.
   Particles& particles = cube.particles;
-  const double mean = std::accumulate(particles.equivalent_radius.begin(), particles.equivalent_radius.end(), 0.0) /
-                      static_cast<double>(particles.body_count());
-  const double factor = request.radius_mean / mean;
+  const double factor = request.radius_mean / particles.mean_radius();
   cube.period *= factor;
   for (std::size_t b = 0; b < particles.body_count(); ++b) {
-    particles.velocity[b].setZero();
-    particles.spin[b].setZero();
+    particles.velocity(b).setZero();
+    particles.spin(b).setZero();
     for (int k = 0; k < 3; ++k) {
-      double x = factor * particles.position[b][k];
+      double x = factor * particles.position(b)[k];
       x -= cube.period[k] * std::floor(x / cube.period[k]);
-      particles.position[b][k] = x < cube.period[k] ? x : 0.0;
+      particles.position(b)[k] = x < cube.period[k] ? x : 0.0;
     }
-    particles.scale(static_cast<std::int32_t>(b), factor);
+    particles.scale(b, factor);
   }
-  particles = sorted_in_space(particles, 2 * request.radius_mean);
+  sort_in_space(particles, 2 * request.radius_mean);
   report("done", 1);
   return cube;
 }
 
-Particles tile(const Cube& cube, const Vec3& low, const Vec3& high) {
+Particles tile(const Cube& cube, const Vec3& low, const Vec3& high, const Vec3& lead) {
   LOCKSTEP_ASSERT((cube.period.array() > 0).all(), "a cube without extent");
   const Box box{low, high};
   std::array<int, 3> copies;
-  for (int k = 0; k < 3; ++k) copies[k] = std::max(0, static_cast<int>(std::ceil((high[k] - low[k]) / cube.period[k])));
+  const Vec3 start = low - lead.cwiseProduct(cube.period);
+  for (int k = 0; k < 3; ++k)
+    copies[k] = std::max(0, static_cast<int>(std::ceil((high[k] - start[k]) / cube.period[k])));
   Particles filled;
   for (int z = 0; z < copies[2]; ++z)
     for (int y = 0; y < copies[1]; ++y)
       for (int x = 0; x < copies[0]; ++x) {
-        const Vec3 shift = low + Vec3(x, y, z).cwiseProduct(cube.period);
+        const Vec3 shift = start + Vec3(x, y, z).cwiseProduct(cube.period);
         for (std::size_t b = 0; b < cube.particles.body_count(); ++b)
-          if (box.contains(cube.particles.position[b] + shift))
-            append_copy(cube.particles, static_cast<std::int32_t>(b), shift, filled);
+          if (box.contains(cube.particles.position(b) + shift)) filled.append_copy(cube.particles, b, shift);
       }
   return filled;
 }

@@ -59,8 +59,8 @@ PorosityRange reachable_porosity(int pebbles, double elongation);
 // The same request gives the same bits.
 Cube make_cube(const CubeRequest& request);
 
-// Copies of the cube, side by side from `low` on, as many as fill the box: all bodies whose centre lies in it, lowest
-// layer of cubes first. The last copies are cut off at `high`.
-Particles tile(const Cube& cube, const Vec3& low, const Vec3& high);
+// Copies of the cube, side by side, as many as fill the box: all bodies whose centre lies in it, lowest layer of cubes
+// first. The first copy begins `lead` of a period before `low` (0 to 1 in each direction); copies are cut off at the box.
+Particles tile(const Cube& cube, const Vec3& low, const Vec3& high, const Vec3& lead = Vec3::Zero());
 
 }  // namespace lockstep::dem

@@ -23,18 +23,26 @@
 // `spin` is stored so that L can be had back from it: spin = R(q(n+1)) I^-1 R^T L(n+1/2). Body and momentum are half a
 // step apart in it, which contact velocities feel only through the precession of fast clumps. A single pebble has no
 // attitude to lose: its spin is stepped and its orientation left alone.
+//
+// Bodies go through motion_kernel.cpp eight at a time, chunk by chunk of chunk_bodies: what a step adds up to is summed
+// over chunks in their order, so that neither threads nor instruction set change a bit.
 #pragma once
 #include <cstdint>
 #include <vector>
 
+#include "common/parallel.hpp"
+#include "dem_server/instructions.hpp"
 #include "dem_server/particles.hpp"
+#include "dem_server/travel.hpp"
 
 namespace lockstep::dem {
 
 // Of one step. Work W of a force F(n) is F(n) . (v(n-1/2) + v(n+1/2))/2 times (dt_old + dt_new)/2, with which the
 // ledger closes to round-off: kinetic energy of v(n+1/2) less that of v(n-1/2) is the sum of the works.
 struct MotionTotals {
-  double kinetic_energy = 0;            // at t_n: m v(n-1/2) . v(n+1/2) / 2, and likewise of rotation [J]
+  double translation_energy = 0;  // at t_n: m v(n-1/2) . v(n+1/2) / 2 [J]
+  double rotation_energy = 0;     // at t_n, likewise [J]
+  double kinetic_energy() const { return translation_energy + rotation_energy; }
   double gravity_work = 0;              // [J]
   double damped_work = 0;               // taken out by local damping [J]
   double contact_work = 0;              // done by the forces and torques in `particles` [J]
@@ -42,13 +50,27 @@ struct MotionTotals {
   Vec3 damping_force = Vec3::Zero();    // sum of the local damping forces on the bodies [N]
   Vec3 momentum = Vec3::Zero();         // at t_{n+1/2} [kg m/s]
   Vec3 momentum_change = Vec3::Zero();  // of this step [kg m/s]
-  double largest_speed = 0;             // [m/s]
-  std::int32_t fastest_body = -1;
+  double moving_mass = 0;               // of the bodies that are not fixed [kg]
+  // These are always there, the others from Detail::Works on.
+  double largest_speed = 0;  // [m/s]
+  bool is_too_fast =
+      false;  // a body crosses MotionOptions::fastest_travel of its radius in this step, or goes nowhere finite
 };
 
-// `totals` is overwritten. `fixed`, if given, has one mark a body: marked bodies keep zero velocity and spin and stay.
-// `damping` is alpha in [0, 1).
-void integrate(Particles& particles, const Vec3& gravity, double time_step_old, double time_step_new, double damping,
-               MotionTotals& totals, const std::vector<char>* fixed = nullptr);
+struct MotionOptions {
+  const std::vector<char>* fixed = nullptr;  // one mark a body: marked bodies keep zero velocity and spin and stay
+  Team* team = nullptr;                      // null: the calling thread alone
+  const Partition* partition = nullptr;      // of the team's threads; null: equal shares
+  InstructionSet instructions = best_instructions();
+  Detail detail = Detail::All;
+  double fastest_travel = 0.5;  // of its radius that a body may cross in a step
+};
+
+// `damping` is alpha in [0, 1). The loads of `particles` are zero afterwards, ready for the next step.
+MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_step_old, double time_step_new,
+                       double damping, const MotionOptions& options = {});
+
+// The body with the largest speed over radius; -1 without bodies.
+std::int32_t fastest_body(const Particles& particles);
 
 }  // namespace lockstep::dem

@@ -565,8 +565,8 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
 
   std::size_t first = 0;  // previous contacts of this pebble: [first, last)
   for (std::size_t pebble = 0; pebble < neighborhoods_.size(); ++pebble) {
-    const Vec3& center = particles.pebble_center[pebble];
-    const double radius = particles.pebble_radius[pebble];
+    const Vec3& center = particles.pebble_center(pebble);
+    const double radius = particles.pebble_radius(pebble);
     Neighborhood& near = neighborhoods_[pebble];
     const double slack = near.reach - radius - travel_;
     if (!(slack > 0 && (center - near.center).squaredNorm() < slack * slack)) list_facets(near, center, radius);
@@ -579,10 +579,10 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
     std::size_t last = first;
     while (last < previous_.size() && previous_[last].pebble == id) ++last;
 
-    const std::int32_t body = particles.pebble_body[pebble];
-    const double mass = particles.mass[body];
+    const std::int32_t body = particles.pebble_body(pebble);
+    const double mass = particles.mass(body);
     ContactMaterial law;
-    law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius[body]);
+    law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
     law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
     law.friction = material.friction;
     law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * mass);

@@ -14,8 +14,8 @@ void Ledger::book(const Model& m) {
 }
 
 void Ledger::book_energy(const Model& m) {
-  now_.kinetic = m.motion.kinetic_energy;
-  now_.elastic = m.pair_totals.elastic_energy + m.facet_totals.elastic_energy + m.plane_totals.elastic_energy;
+  now_.kinetic = m.motion.kinetic_energy();
+  now_.elastic = m.pair_totals.elastic_energy() + m.facet_totals.elastic_energy + m.plane_totals.elastic_energy;
   // Works of step n are centred on t_n: half of each belongs to the interval before it and half to the one after.
   const double gravity = m.motion.gravity_work;
   const double damped = m.motion.damped_work;
@@ -64,8 +64,7 @@ void Ledger::book_momentum(const Model& m) {
   largest_reaction_ = std::max(largest_reaction_, reaction.norm());
 
   if (!m.is_fixed.empty()) return;
-  double weight = 0;
-  for (const double mass : m.particles.mass) weight += mass * m.gravity.z();
+  const double weight = m.motion.moving_mass * m.gravity.z();
   const double interval = 0.5 * (m.last_time_step + m.time_step);
   const double inertia = interval > 0 ? m.motion.momentum_change.z() / interval : 0.0;
   double walls = -m.plane_totals.force.z();

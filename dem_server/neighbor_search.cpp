@@ -8,114 +8,152 @@
 
 namespace lockstep::dem {
 
-std::array<std::int16_t, 3> nearest_image(const Vec3& from_i_to_j, const Vec3& period) {
-  std::array<std::int16_t, 3> image;
-  for (int k = 0; k < 3; ++k) image[k] = static_cast<std::int16_t>(-std::lround(from_i_to_j[k] / period[k]));
-  return image;
+Vec3 nearest_image(const Vec3& from_i_to_j, const Vec3& period) {
+  Vec3 shift;
+  for (int k = 0; k < 3; ++k) shift[k] = -std::round(from_i_to_j[k] / period[k]) * period[k];
+  return shift;
 }
 
-void NeighborSearch::find(const Particles& particles, double reach, const std::optional<Vec3>& period,
-                          std::vector<PebblePair>& pairs) {
-  pairs.clear();
+namespace {
+
+Vec3 wrapped(Vec3 x, const std::optional<Vec3>& period) {
+  if (period)
+    for (int k = 0; k < 3; ++k) x[k] -= (*period)[k] * std::floor(x[k] / (*period)[k]);
+  return x;
+}
+
+void check_finite(const Particles& particles, std::int32_t pebble) {
+  const SphereRecord& p = particles.pebbles()[pebble];
+  if (std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z)) return;
+  const std::int32_t body = particles.pebble_body(pebble);
+  throw NumericalError(fmt::format(
+      "grain {} is no longer at a finite place (mass {:.3g} kg, radius {:.3g} m): lower fidelity.step_fraction", body,
+      particles.mass(body), particles.equivalent_radius(body)));
+}
+
+}  // namespace
+
+std::int32_t NeighborSearch::Grid::cell_of(const Vec3& point, const std::optional<Vec3>& period) const {
+  const Vec3 x = wrapped(point, period);
+  std::array<std::int32_t, 3> c;
+  for (int k = 0; k < 3; ++k)
+    c[k] = std::clamp(static_cast<std::int32_t>((x[k] - low[k]) * cells_per_length[k]), 0, count[k] - 1);
+  return (c[2] * count[1] + c[1]) * count[0] + c[0];
+}
+
+void NeighborSearch::sort(const Particles& particles, double reach, const std::optional<Vec3>& period) {
+  reach_ = reach;
+  period_ = period;
+  grids_.clear();
   const auto pebbles = static_cast<std::int32_t>(particles.pebble_count());
   if (pebbles == 0) return;
-  const Vec3s& center = particles.pebble_center;
-  const std::vector<double>& radius = particles.pebble_radius;
 
-  Vec3 low = center[0], high = center[0];
-  double largest_radius = 0;
+  Vec3 low = particles.pebble_center(0), high = low;
+  double largest = 0, smallest = particles.pebble_radius(0);
   for (std::int32_t p = 0; p < pebbles; ++p) {
-    if (!center[p].allFinite()) {
-      const std::int32_t body = particles.pebble_body[p];
-      throw NumericalError(
-          fmt::format("grain {} is no longer at a finite place (mass {:.3g} kg, radius {:.3g} m): lower "
-                      "fidelity.step_fraction",
-                      body, particles.mass[body], particles.equivalent_radius[body]));
-    }
-    low = low.cwiseMin(center[p]);
-    high = high.cwiseMax(center[p]);
-    largest_radius = std::max(largest_radius, radius[p]);
+    check_finite(particles, p);
+    const Vec3 center = particles.pebble_center(p);
+    low = low.cwiseMin(center);
+    high = high.cwiseMax(center);
+    largest = std::max(largest, particles.pebble_radius(p));
+    smallest = std::min(smallest, particles.pebble_radius(p));
   }
-  if (period) low.setZero(), high = *period;
-
-  // Cells at least one interaction range wide, so that a pebble's partners lie in the 27 cells around it.
-  const double range = 2 * largest_radius + reach;
-  double widen = 1;
-  if (!period) {
-    const double cells = ((high - low) / range + Vec3::Ones()).prod();
-    widen = std::max(1.0, std::cbrt(cells / (cells_per_pebble * pebbles + 64)));
-  }
-  std::array<std::int32_t, 3> count;
-  Vec3 per_length;
-  for (int k = 0; k < 3; ++k) {
-    const double extent = high[k] - low[k];
-    count[k] = std::max(1, static_cast<std::int32_t>(std::min(extent / (range * widen), 1e6)));
-    per_length[k] = extent > 0 ? count[k] / extent : 0;
-    if (period && extent < 2 * range)
+  if (period) {
+    low.setZero(), high = *period;
+    const double range = 2 * largest + reach;
+    if (high.minCoeff() < 2 * range)
       throw InputError(
           fmt::format("grains.packing.cube_grains: a periodic cube of {:.3g} m is less than two interaction "
                       "ranges ({:.3g} m) wide, so that a grain would meet its own image; ask for more grains",
-                      extent, range));
+                      high.minCoeff(), range));
   }
 
-  const auto cell_coordinate = [&](const Vec3& x, int k) {
-    double offset = x[k] - low[k];
-    if (period) offset -= (*period)[k] * std::floor(offset / (*period)[k]);
-    return std::clamp(static_cast<std::int32_t>(offset * per_length[k]), 0, count[k] - 1);
-  };
-  const auto cell_index = [&](std::int32_t cx, std::int32_t cy, std::int32_t cz) {
-    return (cz * count[1] + cy) * count[0] + cx;
-  };
-
-  // Around a periodic ring of one or two cells the neighbour on either side is the same cell: visit it once.
-  std::array<std::int32_t, 3> first = {-1, -1, -1}, last = {1, 1, 1};
-  if (period)
-    for (int k = 0; k < 3; ++k) {
-      if (count[k] < 3) first[k] = 0;
-      if (count[k] < 2) last[k] = 0;
-    }
-
-  // Counting sort of the pebbles by cell; within a cell they stay in order.
-  cell_of_pebble_.resize(pebbles);
-  cell_begin_.assign(static_cast<std::size_t>(count[0]) * count[1] * count[2] + 1, 0);
+  // One grid while sizes are alike; else one for each halving of the radius.
+  const int classes = largest < grid_size_ratio * smallest ? 1 : 1 + static_cast<int>(std::log2(largest / smallest));
+  std::vector<std::vector<std::int32_t>> members(static_cast<std::size_t>(classes));
   for (std::int32_t p = 0; p < pebbles; ++p) {
-    cell_of_pebble_[p] =
-        cell_index(cell_coordinate(center[p], 0), cell_coordinate(center[p], 1), cell_coordinate(center[p], 2));
-    ++cell_begin_[cell_of_pebble_[p] + 1];
+    const int of = static_cast<int>(std::log2(largest / particles.pebble_radius(p)));
+    members[static_cast<std::size_t>(std::clamp(of, 0, classes - 1))].push_back(p);
   }
-  for (std::size_t c = 1; c < cell_begin_.size(); ++c) cell_begin_[c] += cell_begin_[c - 1];
-  pebbles_by_cell_.resize(pebbles);
-  for (std::int32_t p = 0; p < pebbles; ++p) pebbles_by_cell_[cell_begin_[cell_of_pebble_[p]]++] = p;
-  for (std::size_t c = cell_begin_.size() - 1; c > 0; --c) cell_begin_[c] = cell_begin_[c - 1];
-  cell_begin_[0] = 0;
+  for (const auto& group : members) {
+    if (group.empty()) continue;
+    grids_.emplace_back();
+    fill(grids_.back(), particles, group, low, high);
+  }
+}
 
-  for (std::int32_t i = 0; i < pebbles; ++i) {
-    near_.clear();
-    const std::int32_t cell = cell_of_pebble_[i], body = particles.pebble_body[i];
-    const std::array<std::int32_t, 3> at = {cell % count[0], cell / count[0] % count[1], cell / (count[0] * count[1])};
-    for (std::int32_t dz = first[2]; dz <= last[2]; ++dz)
-      for (std::int32_t dy = first[1]; dy <= last[1]; ++dy)
-        for (std::int32_t dx = first[0]; dx <= last[0]; ++dx) {
-          std::array<std::int32_t, 3> c = {at[0] + dx, at[1] + dy, at[2] + dz};
-          if (period) {
-            for (int k = 0; k < 3; ++k) c[k] = (c[k] + count[k]) % count[k];
-          } else if (c[0] < 0 || c[1] < 0 || c[2] < 0 || c[0] >= count[0] || c[1] >= count[1] || c[2] >= count[2]) {
-            continue;
-          }
-          const std::int32_t other = cell_index(c[0], c[1], c[2]);
-          for (std::int32_t k = cell_begin_[other]; k < cell_begin_[other + 1]; ++k) {
-            const std::int32_t j = pebbles_by_cell_[k];
-            if (j <= i || particles.pebble_body[j] == body) continue;
-            Vec3 d = center[j] - center[i];
-            if (period)
-              for (int axis = 0; axis < 3; ++axis) d[axis] -= (*period)[axis] * std::round(d[axis] / (*period)[axis]);
-            const double range_ij = radius[i] + radius[j] + reach;
-            if (d.squaredNorm() < range_ij * range_ij) near_.push_back(j);
+// Counting sort of the members by cell.
+void NeighborSearch::fill(Grid& grid, const Particles& particles, const std::vector<std::int32_t>& members,
+                          const Vec3& low, const Vec3& high) {
+  for (const std::int32_t p : members) grid.largest_radius = std::max(grid.largest_radius, particles.pebble_radius(p));
+  grid.low = low;
+  const double range = 2 * grid.largest_radius + reach_;
+  // A cloud that is mostly empty may not ask for more cells than pebbles can use.
+  const double cells = ((high - low) / range + Vec3::Ones()).prod();
+  const double widen = std::max(1.0, std::cbrt(cells / (cells_per_pebble * static_cast<double>(members.size()) + 64)));
+  for (int k = 0; k < 3; ++k) {
+    const double extent = high[k] - low[k];
+    grid.count[k] = std::max(1, static_cast<std::int32_t>(std::min(extent / (range * widen), 1e6)));
+    grid.cells_per_length[k] = extent > 0 ? grid.count[k] / extent : 0;
+  }
+  grid.cell_begin.assign(static_cast<std::size_t>(grid.count[0]) * grid.count[1] * grid.count[2] + 1, 0);
+  std::vector<std::int32_t> cell(members.size());
+  for (std::size_t m = 0; m < members.size(); ++m) {
+    cell[m] = grid.cell_of(particles.pebble_center(members[m]), period_);
+    ++grid.cell_begin[cell[m] + 1];
+  }
+  for (std::size_t c = 1; c < grid.cell_begin.size(); ++c) grid.cell_begin[c] += grid.cell_begin[c - 1];
+  std::vector<std::int32_t> next(grid.cell_begin.begin(), grid.cell_begin.end() - 1);
+  grid.pebbles.resize(members.size());
+  for (std::size_t m = 0; m < members.size(); ++m) grid.pebbles[next[cell[m]]++] = members[m];
+}
+
+void NeighborSearch::partners_after(const Particles& particles, std::int32_t i,
+                                    std::vector<std::int32_t>& partners) const {
+  partners.clear();
+  const SphereRecord* pebbles = particles.pebbles();
+  const std::int32_t body = particles.pebble_body(i);
+  const Vec3 center = wrapped(particles.pebble_center(i), period_);
+  const double radius = pebbles[i].radius;
+  for (const Grid& grid : grids_) {
+    const double range = radius + grid.largest_radius + reach_;
+    std::array<std::int32_t, 3> first, last;
+    for (int k = 0; k < 3; ++k) {
+      const double at = (center[k] - grid.low[k]) * grid.cells_per_length[k];
+      const double cells = range * grid.cells_per_length[k];
+      if (period_) {
+        first[k] = static_cast<std::int32_t>(std::floor(at - cells));
+        last[k] = std::min(static_cast<std::int32_t>(std::floor(at + cells)), first[k] + grid.count[k] - 1);
+      } else {
+        first[k] = std::clamp(static_cast<std::int32_t>(at - cells), 0, grid.count[k] - 1);
+        last[k] = std::clamp(static_cast<std::int32_t>(at + cells), 0, grid.count[k] - 1);
+      }
+    }
+    const auto in_cell = [&](std::int32_t c, int k) {
+      return period_ ? (c % grid.count[k] + grid.count[k]) % grid.count[k] : c;
+    };
+    for (std::int32_t z = first[2]; z <= last[2]; ++z)
+      for (std::int32_t y = first[1]; y <= last[1]; ++y)
+        for (std::int32_t x = first[0]; x <= last[0]; ++x) {
+          const std::int32_t cell = (in_cell(z, 2) * grid.count[1] + in_cell(y, 1)) * grid.count[0] + in_cell(x, 0);
+          for (std::int32_t k = grid.cell_begin[cell]; k < grid.cell_begin[cell + 1]; ++k) {
+            const std::int32_t j = grid.pebbles[k];
+            if (j <= i) continue;
+            Vec3 d(pebbles[j].x - pebbles[i].x, pebbles[j].y - pebbles[i].y, pebbles[j].z - pebbles[i].z);
+            if (period_) d += nearest_image(d, *period_);
+            const double range_ij = radius + pebbles[j].radius + reach_;
+            if (d.squaredNorm() < range_ij * range_ij && particles.pebble_body(j) != body) partners.push_back(j);
           }
         }
-    std::sort(near_.begin(), near_.end());
-    for (const std::int32_t j : near_) pairs.push_back({i, j, body, particles.pebble_body[j]});
   }
+  std::sort(partners.begin(), partners.end());
+}
+
+std::size_t NeighborSearch::memory() const {
+  std::size_t bytes = 0;
+  for (const Grid& grid : grids_)
+    bytes += (grid.cell_begin.capacity() + grid.pebbles.capacity()) * sizeof(std::int32_t);
+  return bytes;
 }
 
 }  // namespace lockstep::dem

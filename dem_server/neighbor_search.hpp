@@ -1,8 +1,11 @@
-// Which pebbles are near which: a uniform grid of cells, visited once per build.
+// Which pebbles are near which: grids of cells, one for each class of size, visited when the outer list is made.
 //
-// The list is the half list (each pair once, i < j), pebbles of one body left out, sorted by (i, j). Sorted lists make
-// sums over contacts independent of when the list was built: a pair that does not touch adds nothing, wherever it
-// stands.
+//   sizes alike:  one grid, cells one interaction range wide          1 : 20:  five grids, each pebble in that of its size;
+//   +---+---+---+                                                      a pebble looks into each within its own reach of
+//   |   | * |   |  a pebble looks at most into 27 cells                that size, so that small ones do not crowd the
+//   +---+---+---+                                                      cells of large ones
+//
+// A pebble's partners are found in any order and sorted by index: lists do not depend on the grids.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -13,27 +16,39 @@
 
 namespace lockstep::dem {
 
-struct PebblePair {
-  std::int32_t i, j;  // pebbles, i < j
-  std::int32_t a, b;  // their bodies
-};
-
-// Pairs whose gap is below `reach` [m], appended nowhere: `pairs` is overwritten. With `period` the cell is 0..period
-// in each direction and the nearest image counts; every side must be two interaction ranges long (InputError
-// otherwise). NumericalError, naming the body, when a position is not finite.
 class NeighborSearch {
  public:
-  void find(const Particles& particles, double reach, const std::optional<Vec3>& period,
-            std::vector<PebblePair>& pairs);
+  // Sorts the pebbles into cells. `reach` is the largest gap that counts [m]. With `period` the cell is 0..period in each
+  // direction and the nearest image counts; every side must be two interaction ranges long (InputError otherwise).
+  // NumericalError, naming the body, when a position is not finite.
+  void sort(const Particles& particles, double reach, const std::optional<Vec3>& period);
+
+  // Partners j > i of pebble i with a gap below the reach, pebbles of its own body left out, in rising order. May be
+  // called by several threads.
+  void partners_after(const Particles& particles, std::int32_t i, std::vector<std::int32_t>& partners) const;
+
+  std::size_t memory() const;  // [bytes]
 
  private:
-  std::vector<std::int32_t> cell_of_pebble_;
-  std::vector<std::int32_t> cell_begin_;
-  std::vector<std::int32_t> pebbles_by_cell_;
-  std::vector<std::int32_t> near_;  // of the pebble at hand
+  // Pebbles of radii in (half the largest, largest].
+  struct Grid {
+    double largest_radius = 0;             // [m]
+    Vec3 low = Vec3::Zero();               // corner [m]
+    Vec3 cells_per_length = Vec3::Zero();  // [1/m]
+    std::array<std::int32_t, 3> count{1, 1, 1};
+    std::vector<std::int32_t> cell_begin;  // one more than cells
+    std::vector<std::int32_t> pebbles;     // by cell; within a cell in order
+    std::int32_t cell_of(const Vec3& point, const std::optional<Vec3>& period) const;
+  };
+  void fill(Grid& grid, const Particles& particles, const std::vector<std::int32_t>& members, const Vec3& low,
+            const Vec3& high);
+
+  double reach_ = 0;  // [m]
+  std::optional<Vec3> period_;
+  std::vector<Grid> grids_;
 };
 
-// Whole cells to add to x_i - x_j so that it becomes the nearest image's.
-std::array<std::int16_t, 3> nearest_image(const Vec3& from_i_to_j, const Vec3& period);
+// What to add to x_j - x_i so that it goes to the nearest image [m].
+Vec3 nearest_image(const Vec3& from_i_to_j, const Vec3& period);
 
 }  // namespace lockstep::dem

@@ -2,6 +2,7 @@
 //   dem_history.csv                        one row every output.history_interval steps, forces averaged over them
 //   particles_NNNN.vtp, contacts_NNNN.vtp  snapshots, with particles.pvd and contacts.pvd over time
 //   dem_summary.json                       stages, guarantees, shares of time
+// What the block `measure` adds to these stands in observers.hpp.
 #pragma once
 #include <filesystem>
 #include <memory>
@@ -9,13 +10,14 @@
 
 #include "common/results.hpp"
 #include "dem_server/cycle.hpp"
+#include "dem_server/observers.hpp"
 #include "dem_server/settings.hpp"
 
 namespace lockstep::dem {
 
 class Output {
  public:
-  // Nothing is written when `folder` is empty.
+  // Nothing is written when `folder` is empty. `settings` must outlive this.
   Output(const Settings& settings, std::filesystem::path folder);
 
   // Takes part in the averages; writes a row when one is due. `s_over_d` is 0 without a pile.
@@ -27,11 +29,14 @@ class Output {
   // Mean over the last row's steps [Pa], [N].
   double tip_resistance() const { return tip_resistance_; }
   double shaft_force() const { return shaft_force_; }
+  double measuring_seconds() const { return observers_ ? observers_->seconds() : 0.0; }  // [s]
 
  private:
   std::filesystem::path folder_;
   std::uint32_t interval_;
   std::unique_ptr<History> history_;
+  std::unique_ptr<Observers> observers_;  // none unless the scene asks
+  bool splits_energies_ = false;
   std::optional<Series> particle_series_, contact_series_;
   int snapshots_ = 0;
   std::optional<std::uint64_t> last_snapshot_step_;

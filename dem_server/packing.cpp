@@ -28,10 +28,10 @@ bool is_inside(const Particles& p, std::int32_t body, const Container& container
     const double depth = container.depth_inside(x);
     return pile ? std::min(depth, pile->closest(x).distance) : depth;
   };
-  if (p.position[body].z() > container.top) return false;
-  if (room(p.position[body]) < clip_distance * p.equivalent_radius[body]) return false;
-  for (auto i = p.pebble_begin[body]; i < p.pebble_begin[body + 1]; ++i)
-    if (room(p.pebble_center[i]) < 0) return false;
+  if (p.position(body).z() > container.top) return false;
+  if (room(p.position(body)) < clip_distance * p.equivalent_radius(body)) return false;
+  for (auto i = p.pebble_begin(body); i < p.pebble_end(body); ++i)
+    if (room(p.pebble_center(i)) < 0) return false;
   return true;
 }
 
@@ -40,18 +40,19 @@ bool is_inside(const Particles& p, std::int32_t body, const Container& container
 Cube magnified(const Cube& cube, double factor) {
   Cube m = cube;
   m.period *= factor;
-  for (Vec3& x : m.particles.position) x *= factor;
-  for (std::size_t b = 0; b < m.particles.body_count(); ++b) m.particles.scale(static_cast<std::int32_t>(b), factor);
-  m.particles.place_pebbles();
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b) {
+    m.particles.position(b) *= factor;
+    m.particles.scale(b, factor);
+  }
   return m;
 }
 
-// The cube, magnified by `factor` and cut to the container.
-Particles cut(const Cube& cube, double factor, const Settings& s, const Container& container) {
+// The cube, magnified by `factor`, tiled with this lead and cut to the container.
+Particles cut(const Cube& cube, double factor, const Vec3& lead, const Settings& s, const Container& container) {
   const double reach_x = container.kind == Container::Kind::Cylinder ? container.radius : container.half_x;
   const double reach_y = container.kind == Container::Kind::Cylinder ? container.radius : container.half_y;
   Particles p =
-      tile(magnified(cube, factor), {-reach_x, -reach_y, container.bottom}, {reach_x, reach_y, container.top});
+      tile(magnified(cube, factor), {-reach_x, -reach_y, container.bottom}, {reach_x, reach_y, container.top}, lead);
   std::optional<Pile> pile;
   if (s.pile) pile.emplace(s.pile->shape, container.top - s.pile->embedment);
   std::vector<char> keep(p.body_count());
@@ -61,7 +62,9 @@ Particles cut(const Cube& cube, double factor, const Settings& s, const Containe
 }
 
 // The magnification at which the cut keeps `count` grains. The count falls as factor^-3 with a scatter of whole grains,
-// so Newton's iteration on that law closes in within a few cuts; the nearest is kept.
+// so Newton's iteration on that law closes in within a few cuts; the nearest is kept. Where it goes round in circles (a
+// container a few grains wide), the cube's place under the container is another knob: its three leads follow Kronecker
+// sequences.
 Particles cut_to_count(const Cube& cube, std::uint32_t count, const Settings& s, const Container& container,
                        const Heartbeat& heartbeat) {
   double factor = 1;
@@ -69,7 +72,10 @@ Particles cut_to_count(const Cube& cube, std::uint32_t count, const Settings& s,
   double best_error = 1e300;
   for (int trial = 0; trial < count_trials; ++trial) {
     heartbeat("cutting the packing to its count", static_cast<double>(trial) / count_trials);
-    Particles p = cut(cube, factor, s, container);
+    const double turn = trial < lead_trials ? 0.0 : trial;
+    const Vec3 lead =
+        (turn * Vec3(0.8191725134, 0.6710436067, 0.5497004779)).unaryExpr([](double x) { return x - std::floor(x); });
+    Particles p = cut(cube, factor, lead, s, container);
     const double kept = std::max<double>(1, static_cast<double>(p.body_count()));
     const double error = std::abs(kept - count);
     if (error < best_error) {
@@ -113,7 +119,8 @@ Assembly assemble_packing(const Settings& s, double ground_density, const Heartb
   a.cube_porosity = cube.porosity;
   a.preparation_friction = cube.preparation_friction;
 
-  a.particles = packing.count ? cut_to_count(cube, packing.count, s, container, heartbeat) : cut(cube, 1, s, container);
+  a.particles = packing.count ? cut_to_count(cube, packing.count, s, container, heartbeat)
+                              : cut(cube, 1, Vec3::Zero(), s, container);
   if (a.particles.body_count() == 0)
     throw InputError(
         fmt::format("grains.packing: no grain of mean radius {:.4g} m fits into the container; give a smaller "
@@ -147,7 +154,7 @@ void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
         const double velocity = std::abs(t) < 0.5 ? l.pulse_velocity * 0.5 * (1 + std::cos(2 * pi * t)) : 0.0;
         const double displacement = l.pulse_velocity / speed * hump(z);
         const auto body = a.particles.add(sphere, l.radius, s.density, {x, y, z + displacement}, Quat::Identity());
-        a.particles.velocity[body] = {0, 0, velocity};
+        a.particles.velocity(body) = Vec3(0, 0, velocity);
         if (l.fix_top) {
           a.is_fixed.resize(a.particles.body_count(), 0);
           a.is_fixed[body] = k + 1 == l.count_z;
@@ -175,18 +182,13 @@ double bulk_porosity(const Settings& s, const Assembly& a, const Particles& p) {
 void refit(Assembly& a, const Settings& s, double ground_density, Particles& p) {
   if (!s.packing || p.body_count() == 0) return;
   const double room = s.packing->container.volume() - pile_volume(s);
-  double solid = 0;
-  for (const double r : p.equivalent_radius) solid += 4.0 / 3.0 * pi * r * r * r;
+  const double solid = solid_volume(p);
   a.overall_porosity = 1 - solid / room;
   const double density =
       s.packing->match_continuum_density && ground_density > 0 ? ground_density * room / solid : s.density;
-  for (std::size_t b = 0; b < p.body_count(); ++b) {
-    p.mass[b] *= density / a.solid_density;
-    p.inertia[b] *= density / a.solid_density;
-  }
+  for (std::size_t b = 0; b < p.body_count(); ++b) p.scale_mass(b, density / a.solid_density);
   a.solid_density = density;
-  const auto& r = p.equivalent_radius;
-  a.mean_radius = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
+  a.mean_radius = p.mean_radius();
 }
 
 Assembly assemble(const Settings& s, double ground_density, const Heartbeat& heartbeat) {
@@ -197,17 +199,14 @@ Assembly assemble(const Settings& s, double ground_density, const Heartbeat& hea
   for (const GrainSettings& g : s.grains) {
     const ClumpTemplate shape = g.is_clump ? make_clump(s.pebbles, s.elongation) : make_clump(1, 1);
     const auto body = a.particles.add(shape, g.radius, density, g.center, Quat::Identity());
-    a.particles.velocity[body] = g.velocity;
-    a.particles.spin[body] = g.spin;
+    a.particles.velocity(body) = g.velocity;
+    a.particles.spin(body) = g.spin;
   }
   a.solid_density = density;
   if (!a.is_fixed.empty()) a.is_fixed.resize(a.particles.body_count(), 0);
   a.particles.place_pebbles();
   a.particles.clear_forces();
-  const auto& r = a.particles.equivalent_radius;
-  if (!r.empty()) {
-    a.mean_radius = std::accumulate(r.begin(), r.end(), 0.0) / static_cast<double>(r.size());
-  }
+  a.mean_radius = a.particles.mean_radius();
   return a;
 }
 

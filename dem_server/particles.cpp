@@ -1,104 +1,253 @@
 #include "dem_server/particles.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "common/checks.hpp"
+#include "dem_server/constants.hpp"
 
 namespace lockstep::dem {
+
+namespace {
+
+// What stands behind the last record.
+constexpr SphereRecord nowhere = {far_away, far_away, far_away, 0};
+constexpr MotionRecord nothing = {0, 0, 0, 0, 0, 0, 0, 1};
+
+Quat quaternion(const AttitudeRecord& a) { return {a.qw, a.qx, a.qy, a.qz}; }
+
+// Puts `value` before the record behind the last.
+template <class Record>
+void push(std::vector<Record>& records, const Record& value) {
+  records.insert(records.end() - 1, value);
+}
+
+}  // namespace
+
+bool ClumpTemplate::is_sphere() const {
+  return pebble_center.size() == 1 && pebble_center[0].isZero(0) && inertia_per_mass[0] == inertia_per_mass[1] &&
+         inertia_per_mass[1] == inertia_per_mass[2];
+}
+
+Particles::Particles() : bodies_{nowhere}, motion_{nothing}, loads_{LoadRecord{}} {}
+
+Quat Particles::orientation(std::size_t b) const { return has_clumps() ? quaternion(attitudes_[b]) : Quat::Identity(); }
+
+void Particles::set_orientation(std::size_t b, const Quat& attitude) {
+  if (!has_clumps()) return;
+  AttitudeRecord& a = attitudes_[b];
+  a.qx = attitude.x(), a.qy = attitude.y(), a.qz = attitude.z(), a.qw = attitude.w();
+}
+
+Vec3 Particles::inertia(std::size_t b) const {
+  if (has_clumps()) return {attitudes_[b].i1, attitudes_[b].i2, attitudes_[b].i3};
+  return Vec3::Constant(sphere_inertia * mass(b) * equivalent_radius(b) * equivalent_radius(b));
+}
+
+Vec3 Particles::pebble_offset(std::size_t p) const {
+  return has_clumps() ? Vec3(offsets_[p].x, offsets_[p].y, offsets_[p].z) : Vec3::Zero();
+}
+
+// The first clump: what were spheres without attitude become clumps of one.
+void Particles::become_clumps() {
+  const std::size_t count = body_count();
+  pebble_begin_.resize(count + 2);
+  for (std::size_t b = 0; b < count + 2; ++b) pebble_begin_[b] = static_cast<std::int32_t>(b);
+  pebble_begin_[count + 1] = static_cast<std::int32_t>(count);
+  pebble_body_.resize(count + 1);
+  for (std::size_t p = 0; p <= count; ++p) pebble_body_[p] = static_cast<std::int32_t>(p);
+  for (std::size_t b = 0; b < count; ++b) {
+    const double moment = sphere_inertia * mass(b) * equivalent_radius(b) * equivalent_radius(b);
+    attitudes_.push_back({0, 0, 0, 1, moment, moment, moment, 0});
+    offsets_.push_back({0, 0, 0, equivalent_radius(b)});
+  }
+  offsets_.push_back({0, 0, 0, 0});
+  pebbles_ = bodies_;
+}
 
 std::int32_t Particles::add(const ClumpTemplate& shape, double radius, double density, const Vec3& center,
                             const Quat& attitude) {
   LOCKSTEP_ASSERT(radius > 0 && density > 0, "radius {}, density {}", radius, density);
+  if (!has_clumps() && !shape.is_sphere()) become_clumps();
   const auto body = static_cast<std::int32_t>(body_count());
-  position.push_back(center);
-  orientation.push_back(attitude.normalized());
-  velocity.push_back(Vec3::Zero());
-  spin.push_back(Vec3::Zero());
-  mass.push_back(density * 4.0 / 3.0 * pi * radius * radius * radius);
-  equivalent_radius.push_back(radius);
-  inertia.push_back(mass.back() * radius * radius * shape.inertia_per_mass);
-  force.push_back(Vec3::Zero());
-  torque.push_back(Vec3::Zero());
+  const double mass = density * 4.0 / 3.0 * pi * radius * radius * radius;
+  push(bodies_, {center.x(), center.y(), center.z(), radius});
+  push(motion_, {0, 0, 0, radius, 0, 0, 0, mass});
+  push(loads_, LoadRecord{});
+  if (!has_clumps()) return body;
+
+  const Quat unit = attitude.normalized();
+  const Vec3 moments = mass * radius * radius * shape.inertia_per_mass;
+  attitudes_.push_back(
+      {unit.x(), unit.y(), unit.z(), unit.w(), moments[0], moments[1], moments[2], shape.is_sphere() ? 0.0 : 1.0});
   for (std::size_t p = 0; p < shape.pebble_center.size(); ++p) {
-    pebble_body.push_back(body);
-    pebble_offset.push_back(radius * shape.pebble_center[p]);
-    pebble_radius.push_back(radius * shape.pebble_radius[p]);
-    pebble_center.push_back(center);
+    const Vec3 offset = radius * shape.pebble_center[p];
+    const double pebble_radius = radius * shape.pebble_radius[p];
+    push(offsets_, {offset.x(), offset.y(), offset.z(), pebble_radius});
+    push(pebbles_, {center.x(), center.y(), center.z(), pebble_radius});
+    pebble_body_.insert(pebble_body_.end() - 1, body);
   }
-  pebble_begin.push_back(static_cast<std::int32_t>(pebble_count()));
-  place_pebbles(body);
+  pebble_body_.back() = body + 1;
+  const auto count = static_cast<std::int32_t>(pebble_count());
+  pebble_begin_.back() = count;
+  pebble_begin_.push_back(count);
+  place_pebbles(static_cast<std::size_t>(body));
   return body;
 }
 
-void Particles::place_pebbles(std::int32_t body) {
-  const std::int32_t begin = pebble_begin[body], end = pebble_begin[body + 1];
-  if (end - begin == 1 && pebble_offset[begin].isZero(0)) {
-    pebble_center[begin] = position[body];
-    return;
+void Particles::place_pebbles(std::size_t b) {
+  if (!has_clumps()) return;
+  const Mat3 rotation = orientation(b).toRotationMatrix();
+  const Vec3 center = std::as_const(*this).position(b);
+  for (std::int32_t p = pebble_begin(b); p < pebble_end(b); ++p) {
+    const Vec3 at = center + rotation * pebble_offset(p);
+    pebbles_[p] = {at.x(), at.y(), at.z(), offsets_[p].radius};
   }
-  place_pebbles(body, orientation[body].toRotationMatrix());
 }
 
 void Particles::place_pebbles() {
-  for (std::size_t b = 0; b < body_count(); ++b) place_pebbles(static_cast<std::int32_t>(b));
+  for (std::size_t b = 0; b < body_count(); ++b) place_pebbles(b);
 }
 
-void Particles::scale(std::int32_t body, double factor) {
-  const double factor3 = factor * factor * factor;
-  equivalent_radius[body] *= factor;
-  mass[body] *= factor3;
-  inertia[body] *= factor3 * factor * factor;
-  for (std::int32_t p = pebble_begin[body]; p < pebble_begin[body + 1]; ++p) {
-    pebble_offset[p] *= factor;
-    pebble_radius[p] *= factor;
+void Particles::scale_mass(std::size_t b, double factor) {
+  motion_[b].mass *= factor;
+  if (!has_clumps()) return;
+  attitudes_[b].i1 *= factor, attitudes_[b].i2 *= factor, attitudes_[b].i3 *= factor;
+}
+
+void Particles::scale(std::size_t b, double factor) {
+  bodies_[b].radius *= factor;
+  motion_[b].radius = bodies_[b].radius;
+  scale_mass(b, factor * factor * factor);
+  if (!has_clumps()) return;
+  const double square = factor * factor;
+  attitudes_[b].i1 *= square, attitudes_[b].i2 *= square, attitudes_[b].i3 *= square;
+  for (std::int32_t p = pebble_begin(b); p < pebble_end(b); ++p) {
+    SphereRecord& offset = offsets_[p];
+    offset = {factor * offset.x, factor * offset.y, factor * offset.z, factor * offset.radius};
   }
-  place_pebbles(body);
+  place_pebbles(b);
+}
+
+void Particles::scale_all(double factor) {
+  if (factor > 1) {
+    double largest = 0;
+    for (std::size_t p = 0; p < pebble_count(); ++p) largest = std::max(largest, pebble_radius(p));
+    growth_ += (factor - 1) * largest;
+  }
+  for (std::size_t b = 0; b < body_count(); ++b) scale(b, factor);
+}
+
+void Particles::append_copy(const Particles& from, std::size_t b, const Vec3& shift) {
+  if (!has_clumps() && from.has_clumps()) become_clumps();
+  const auto body = static_cast<std::int32_t>(body_count());
+  const auto moved = [&](SphereRecord r) -> SphereRecord {
+    return {r.x + shift.x(), r.y + shift.y(), r.z + shift.z(), r.radius};
+  };
+  push(bodies_, moved(from.bodies_[b]));
+  push(motion_, from.motion_[b]);
+  push(loads_, LoadRecord{});
+  if (!has_clumps()) return;
+  const Vec3 moments = from.inertia(b);
+  const Quat attitude = from.orientation(b);
+  attitudes_.push_back({attitude.x(), attitude.y(), attitude.z(), attitude.w(), moments[0], moments[1], moments[2],
+                        from.has_clumps() ? from.attitudes_[b].is_clump : 0.0});
+  for (std::int32_t p = from.pebble_begin(b); p < from.pebble_end(b); ++p) {
+    const Vec3 offset = from.pebble_offset(p);
+    push(offsets_, {offset.x(), offset.y(), offset.z(), from.pebble_radius(p)});
+    push(pebbles_, moved(from.pebbles()[p]));
+    pebble_body_.insert(pebble_body_.end() - 1, body);
+  }
+  pebble_body_.back() = body + 1;
+  pebble_begin_.back() = static_cast<std::int32_t>(pebble_count());
+  pebble_begin_.push_back(pebble_begin_.back());
 }
 
 void Particles::keep_only(const std::vector<char>& keep) {
   LOCKSTEP_ASSERT(keep.size() == body_count(), "{} marks for {} bodies", keep.size(), body_count());
-  std::size_t to = 0;
-  std::int32_t pebble_to = 0;
-  for (std::size_t b = 0; b < keep.size(); ++b) {
-    const std::int32_t begin = pebble_begin[b], end = pebble_begin[b + 1];
-    if (!keep[b]) continue;
-    position[to] = position[b], orientation[to] = orientation[b], velocity[to] = velocity[b], spin[to] = spin[b];
-    mass[to] = mass[b], equivalent_radius[to] = equivalent_radius[b], inertia[to] = inertia[b];
-    force[to] = force[b], torque[to] = torque[b];
-    pebble_begin[to] = pebble_to;  // to <= b, and pebble_begin[b] was read above
-    for (std::int32_t p = begin; p < end; ++p, ++pebble_to) {
-      pebble_body[pebble_to] = static_cast<std::int32_t>(to);
-      pebble_offset[pebble_to] = pebble_offset[p];
-      pebble_radius[pebble_to] = pebble_radius[p];
-      pebble_center[pebble_to] = pebble_center[p];
-    }
-    ++to;
-  }
-  pebble_begin[to] = pebble_to;
-  position.resize(to), orientation.resize(to), velocity.resize(to), spin.resize(to), mass.resize(to);
-  equivalent_radius.resize(to), inertia.resize(to), force.resize(to), torque.resize(to);
-  pebble_begin.resize(to + 1);
-  const auto pebbles = static_cast<std::size_t>(pebble_to);
-  pebble_body.resize(pebbles), pebble_offset.resize(pebbles), pebble_radius.resize(pebbles);
-  pebble_center.resize(pebbles);
+  std::vector<std::int32_t> order;
+  for (std::size_t b = 0; b < keep.size(); ++b)
+    if (keep[b]) order.push_back(static_cast<std::int32_t>(b));
+  reorder(order);
 }
 
-void Particles::clear_forces() {
-  std::fill(force.begin(), force.end(), Vec3::Zero());
-  std::fill(torque.begin(), torque.end(), Vec3::Zero());
+void Particles::reorder(const std::vector<std::int32_t>& order) {
+  Particles next;
+  const std::size_t count = order.size();
+  next.bodies_.resize(count + 1, nowhere), next.motion_.resize(count + 1, nothing), next.loads_.resize(count + 1);
+  next.bodies_[0] = nowhere, next.motion_[0] = nothing;
+  for (std::size_t to = 0; to < count; ++to) {
+    const std::int32_t from = order[to];
+    next.bodies_[to] = bodies_[from], next.motion_[to] = motion_[from], next.loads_[to] = loads_[from];
+  }
+  next.bodies_[count] = nowhere, next.motion_[count] = nothing, next.loads_[count] = LoadRecord{};
+  if (has_clumps()) {
+    for (std::size_t to = 0; to < count; ++to) {
+      const std::int32_t from = order[to];
+      next.attitudes_.push_back(attitudes_[from]);
+      next.pebble_begin_.push_back(static_cast<std::int32_t>(next.pebbles_.size()));
+      for (std::int32_t p = pebble_begin(from); p < pebble_end(from); ++p) {
+        next.pebbles_.push_back(pebbles_[p]);
+        next.offsets_.push_back(offsets_[p]);
+        next.pebble_body_.push_back(static_cast<std::int32_t>(to));
+      }
+    }
+    next.pebble_begin_.insert(next.pebble_begin_.end(), 2, static_cast<std::int32_t>(next.pebbles_.size()));
+    next.pebbles_.push_back(nowhere);
+    next.offsets_.push_back({0, 0, 0, 0});
+    next.pebble_body_.push_back(static_cast<std::int32_t>(count));
+  }
+  *this = std::move(next);
+}
+
+void Particles::clear_forces() { std::fill(loads_.begin(), loads_.end(), LoadRecord{}); }
+
+double Particles::smallest_radius() const {
+  double least = body_count() > 0 ? equivalent_radius(0) : 0.0;
+  for (std::size_t b = 0; b < body_count(); ++b) least = std::min(least, equivalent_radius(b));
+  return least;
+}
+
+double Particles::largest_radius() const {
+  double largest = 0;
+  for (std::size_t b = 0; b < body_count(); ++b) largest = std::max(largest, equivalent_radius(b));
+  return largest;
+}
+
+double Particles::mean_radius() const {
+  double sum = 0;
+  for (std::size_t b = 0; b < body_count(); ++b) sum += equivalent_radius(b);
+  return body_count() > 0 ? sum / static_cast<double>(body_count()) : 0.0;
+}
+
+double Particles::lightest() const {
+  double least = body_count() > 0 ? mass(0) : 0.0;
+  for (std::size_t b = 0; b < body_count(); ++b) least = std::min(least, mass(b));
+  return least;
+}
+
+double Particles::total_mass() const {
+  double sum = 0;
+  for (std::size_t b = 0; b < body_count(); ++b) sum += mass(b);
+  return sum;
 }
 
 void Particles::hash(Hash& h) const {
   h.add(static_cast<std::uint64_t>(body_count()));
-  h.add(std::span<const Vec3>(position));
-  for (const Quat& q : orientation) h.add(q.w()), h.add(Vec3(q.vec()));
-  h.add(std::span<const Vec3>(velocity));
-  h.add(std::span<const Vec3>(spin));
-  h.add(std::span<const double>(mass));
-  h.add(std::span<const Vec3>(inertia));
+  for (std::size_t b = 0; b < body_count(); ++b) {
+    h.add(position(b)), h.add(velocity(b)), h.add(spin(b));
+    h.add(equivalent_radius(b)), h.add(mass(b));
+  }
+  if (!has_clumps()) return;
+  for (const AttitudeRecord& a : attitudes_) h.add(Vec3(a.qx, a.qy, a.qz)), h.add(a.qw), h.add(Vec3(a.i1, a.i2, a.i3));
   h.add(static_cast<std::uint64_t>(pebble_count()));
-  h.add(std::span<const double>(pebble_radius));
-  h.add(std::span<const Vec3>(pebble_center));
+  for (std::size_t p = 0; p < pebble_count(); ++p) h.add(pebble_radius(p)), h.add(pebble_center(p));
+}
+
+std::size_t Particles::memory() const {
+  const auto bytes = [](const auto& records) { return records.capacity() * sizeof(records[0]); };
+  return bytes(bodies_) + bytes(motion_) + bytes(loads_) + bytes(attitudes_) + bytes(pebble_begin_) + bytes(pebbles_) +
+         bytes(offsets_) + bytes(pebble_body_);
 }
 
 }  // namespace lockstep::dem

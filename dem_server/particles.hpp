@@ -1,8 +1,19 @@
-// The grains: rigid bodies (clumps of pebbles; a sphere is a clump of one) and walls' view of them.
+// The grains: rigid bodies (clumps of pebbles; a sphere is a clump of one), as aligned records.
 //
 // Time levels on entry to a cycle: position, orientation and pebble centres at t_n, velocity and spin at t_{n-1/2}.
-// Body arrays are indexed by body, pebble arrays by pebble; the pebbles of body b are pebble_begin[b] ..
-// pebble_begin[b+1]-1.
+// Body functions take a body's index, pebble functions a pebble's; the pebbles of body b are pebble_begin(b) ..
+// pebble_end(b) - 1.
+//
+// What a contact gathers of a body stands in whole cache lines: 32 bytes of place, 64 of motion, 64 of loads. A crowd
+// of spheres has nothing else: its bodies are its pebbles, it keeps neither attitudes nor offsets. The first clump that
+// is added brings those arrays.
+//
+//   SphereRecord  x y z R         32 B   per body (R_eq), and per pebble where there are clumps
+//   MotionRecord  v R w m         64 B   per body
+//   LoadRecord    F . T .         64 B   per body
+//
+// Behind the last body and the last pebble stands one more record each, far away and without size: list entries that
+// only fill up a block of entries point there.
 #pragma once
 #include <cstddef>
 #include <cstdint>
@@ -10,6 +21,7 @@
 
 #include "common/hash.hpp"
 #include "common/vectors.hpp"
+#include "dem_server/records.hpp"
 
 namespace lockstep::dem {
 
@@ -20,55 +32,122 @@ struct ClumpTemplate {
   std::vector<double> pebble_radius;     // [R_eq]
   Vec3 inertia_per_mass = Vec3::Zero();  // principal moments / (m R_eq^2); 0.4 each for a sphere
   double bounding_radius = 1;            // [R_eq]
+  bool is_sphere() const;
 };
 
-struct Particles {
-  // One entry a body.
-  Vec3s position;                         // centre of mass, t_n [m]
-  std::vector<Quat> orientation;          // body frame -> world, t_n
-  Vec3s velocity;                         // t_{n-1/2} [m/s]
-  Vec3s spin;                             // world frame, t_{n-1/2} [rad/s]
-  std::vector<double> mass;               // [kg]
-  std::vector<double> equivalent_radius;  // of the sphere of the same volume [m]
-  Vec3s inertia;                          // principal moments, body frame [kg m2]
-  Vec3s force;                            // sum of contact forces at t_n, gravity not included [N]
-  Vec3s torque;                           // about the centre of mass, world frame [N m]
-  std::vector<std::int32_t> pebble_begin = {0};
+class Particles {
+ public:
+  using View = Eigen::Map<Vec3>;
 
-  // One entry a pebble.
-  std::vector<std::int32_t> pebble_body;
-  Vec3s pebble_offset;                // from the centre of mass, body frame [m]
-  std::vector<double> pebble_radius;  // [m]
-  Vec3s pebble_center;                // world frame, t_n [m]
+  Particles();
 
-  std::size_t body_count() const { return position.size(); }
-  std::size_t pebble_count() const { return pebble_body.size(); }
+  std::size_t body_count() const { return bodies_.size() - 1; }
+  std::size_t pebble_count() const { return has_clumps() ? pebbles_.size() - 1 : body_count(); }
+  // False: every body is a sphere, and pebble p is body p.
+  bool has_clumps() const { return !pebbles_.empty(); }
+
+  // ---- of a body. The views are of the records: they end with the next add() or keep_only().
+  Vec3 position(std::size_t b) const { return {bodies_[b].x, bodies_[b].y, bodies_[b].z}; }  // of mass centre, t_n [m]
+  View position(std::size_t b) { return View(&bodies_[b].x); }
+  double equivalent_radius(std::size_t b) const { return bodies_[b].radius; }  // of the sphere of this volume [m]
+  Vec3 velocity(std::size_t b) const { return {motion_[b].vx, motion_[b].vy, motion_[b].vz}; }  // t_{n-1/2} [m/s]
+  View velocity(std::size_t b) { return View(&motion_[b].vx); }
+  Vec3 spin(std::size_t b) const { return {motion_[b].wx, motion_[b].wy, motion_[b].wz}; }  // world, t_{n-1/2} [rad/s]
+  View spin(std::size_t b) { return View(&motion_[b].wx); }
+  double mass(std::size_t b) const { return motion_[b].mass; }  // [kg]
+  // Sum of contact forces at t_n, gravity not included [N], and torque about the centre of mass, world frame [N m].
+  Vec3 force(std::size_t b) const { return {loads_[b].fx, loads_[b].fy, loads_[b].fz}; }
+  View force(std::size_t b) { return View(&loads_[b].fx); }
+  Vec3 torque(std::size_t b) const { return {loads_[b].tx, loads_[b].ty, loads_[b].tz}; }
+  View torque(std::size_t b) { return View(&loads_[b].tx); }
+  // Body frame -> world, t_n. A sphere has none to lose: identity.
+  Quat orientation(std::size_t b) const;
+  // Principal moments, body frame [kg m2].
+  Vec3 inertia(std::size_t b) const;
+
+  // ---- of a pebble
+  std::int32_t pebble_begin(std::size_t b) const {
+    return has_clumps() ? pebble_begin_[b] : static_cast<std::int32_t>(b);
+  }
+  std::int32_t pebble_end(std::size_t b) const { return pebble_begin(b + 1); }
+  std::int32_t pebble_body(std::size_t p) const {
+    return has_clumps() ? pebble_body_[p] : static_cast<std::int32_t>(p);
+  }
+  Vec3 pebble_center(std::size_t p) const {
+    return {pebbles()[p].x, pebbles()[p].y, pebbles()[p].z};
+  }                                                                          // world, t_n [m]
+  double pebble_radius(std::size_t p) const { return pebbles()[p].radius; }  // [m]
+  Vec3 pebble_offset(std::size_t p) const;                                   // from the centre of mass, body frame [m]
 
   // Adds a body at rest and returns its index.
   std::int32_t add(const ClumpTemplate& shape, double radius, double density, const Vec3& center, const Quat& attitude);
-  // Pebble centres from the body's pose.
+  void set_orientation(std::size_t b, const Quat& attitude);
+  // Density by a factor: mass and inertia.
+  void scale_mass(std::size_t b, double factor);
+  // Multiplies every length of a body by `factor`, or of all bodies; density is kept.
+  void scale(std::size_t b, double factor);
+  void scale_all(double factor);
+  // Sum of what scale_all has added to the largest pebble's radius: lists must allow for it [m].
+  double growth() const { return growth_; }
+  // Pebble centres from the body's pose; needed after positions or orientations were set from outside.
+  void place_pebbles(std::size_t b);
   void place_pebbles();
-  void place_pebbles(std::int32_t body);
-  // The same for a caller that has the rotation matrix of the body's orientation.
-  void place_pebbles(std::int32_t body, const Mat3& rotation) {
-    const Vec3 center = position[body];
-    for (std::int32_t p = pebble_begin[body]; p < pebble_begin[body + 1]; ++p)
-      pebble_center[p] = center + rotation * pebble_offset[p];
-  }
-  // Multiplies every length of a body by `factor`; density is kept.
-  void scale(std::int32_t body, double factor);
+  // A copy of body b of another crowd, at rest or not as it is there, without loads.
+  void append_copy(const Particles& from, std::size_t b, const Vec3& shift);
   // Keeps only the bodies for which keep[b] is true, in order.
   void keep_only(const std::vector<char>& keep);
+  // Puts the bodies in the order old = order[new].
+  void reorder(const std::vector<std::int32_t>& order);
+
   // Velocity of the material point of `body` at `point`.
-  Vec3 velocity_at(std::int32_t body, const Vec3& point) const {
-    return velocity[body] + spin[body].cross(point - position[body]);
+  Vec3 velocity_at(std::size_t body, const Vec3& point) const {
+    return velocity(body) + spin(body).cross(point - position(body));
   }
-  void add_force(std::int32_t body, const Vec3& at, const Vec3& f) {
-    force[body] += f;
-    torque[body] += (at - position[body]).cross(f);
+  void add_force(std::size_t body, const Vec3& at, const Vec3& f) {
+    torque(body) += (at - static_cast<const Particles&>(*this).position(body)).cross(f);
+    force(body) += f;
   }
   void clear_forces();
+
+  // Of all bodies: equivalent radii [m], masses [kg]. Zero without bodies.
+  double smallest_radius() const;
+  double largest_radius() const;
+  double mean_radius() const;
+  double lightest() const;
+  double total_mass() const;
   void hash(Hash& h) const;
+  // Of all arrays [bytes].
+  std::size_t memory() const;
+
+  // ---- the records, for kernels
+  const SphereRecord* bodies() const { return bodies_.data(); }
+  SphereRecord* bodies() { return bodies_.data(); }
+  const SphereRecord* pebbles() const { return has_clumps() ? pebbles_.data() : bodies_.data(); }
+  SphereRecord* pebbles() { return has_clumps() ? pebbles_.data() : bodies_.data(); }
+  const MotionRecord* motion() const { return motion_.data(); }
+  MotionRecord* motion() { return motion_.data(); }
+  LoadRecord* loads() { return loads_.data(); }
+  // Of clumps only.
+  SphereRecord* offsets() { return offsets_.data(); }
+  AttitudeRecord* attitudes() { return attitudes_.data(); }
+  const std::int32_t* pebble_begins() const { return pebble_begin_.data(); }
+  const std::int32_t* pebble_bodies() const { return pebble_body_.data(); }
+
+ private:
+  void become_clumps();
+
+  // One entry a body, and one behind the last.
+  std::vector<SphereRecord> bodies_;
+  std::vector<MotionRecord> motion_;
+  std::vector<LoadRecord> loads_;
+  // Only where there are clumps: attitude and moments, first pebble.
+  std::vector<AttitudeRecord> attitudes_;   // one entry a body
+  std::vector<std::int32_t> pebble_begin_;  // one more than bodies, and one behind
+  // Only where there are clumps, one entry a pebble and one behind the last.
+  std::vector<SphereRecord> pebbles_;
+  std::vector<SphereRecord> offsets_;  // from the centre of mass, body frame, and the pebble's radius
+  std::vector<std::int32_t> pebble_body_;
+  double growth_ = 0;  // [m]
 };
 
 }  // namespace lockstep::dem

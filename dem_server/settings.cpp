@@ -86,6 +86,49 @@ LatticeSettings lattice_of(const scene::Lattice& from) {
           from.bottom(),  from.fix_top(), from.pulse_velocity(), from.pulse_length(), from.pulse_center()};
 }
 
+MeasureSettings measure_of(const SceneFile& file) {
+  const scene::Measure& from = file.scene.measure();
+  MeasureSettings to;
+  to.interval = from.interval();
+  to.fabric = from.fabric();
+  to.force_network = from.force_network();
+  to.energy_by_kind = from.energy_by_kind();
+  for (const scene::MeasureBall& ball : from.ball()) {
+    if (ball.follows_pile() && !file.scene.has_pile())
+      throw InputError(fmt::format("{} = true, but the scene has no pile; leave the key out, or give the scene a pile",
+                                   file.where(fmt::format("measure.ball[{}].follows_pile", to.balls.size()))));
+    to.balls.push_back({{to_vector(ball.center()), ball.radius()}, ball.follows_pile()});
+  }
+  for (const scene::MeasureGrid& grid : from.grid()) {
+    const std::string key = fmt::format("measure.grid[{}]", to.grids.size());
+    if (grid.has_low() != grid.has_high())
+      throw InputError(
+          fmt::format("{} has only one of its corners low and high; give both, or none for all that the "
+                      "packing fills",
+                      file.where(key)));
+    std::optional<Box> box;
+    if (grid.has_low()) {
+      box = Box{to_vector(grid.low()), to_vector(grid.high())};
+      for (int axis = 0; axis < 3; ++axis)
+        if (!(box->low[axis] < box->high[axis]))
+          throw InputError(fmt::format("{}: high.{} = {} m is not above low.{} = {} m; give a box with a volume",
+                                       file.where(key), "xyz"[axis], box -> high[axis], "xyz"[axis], box -> low[axis]));
+    }
+    to.grids.push_back({grid.cell(), box, grid.points(), file.where(key)});
+  }
+  for (const scene::TrackedGrain& grain : from.tracked()) {
+    const std::string key = fmt::format("measure.tracked[{}]", to.tracked.size());
+    if (grain.which_case() == scene::TrackedGrain::WHICH_NOT_SET)
+      throw InputError(fmt::format("{} says of no grain; give near {{ x y z }}, or grain", file.where(key)));
+    TrackedSettings tracked;
+    if (grain.has_grain()) tracked.grain = grain.grain();
+    tracked.near = to_vector(grain.near());
+    tracked.where = file.where(key);
+    to.tracked.push_back(std::move(tracked));
+  }
+  return to;
+}
+
 }  // namespace
 
 Settings make_settings(const SceneFile& file) {
@@ -163,6 +206,7 @@ Settings make_settings(const SceneFile& file) {
   s.peer_timeout = scene.coupling().peer_timeout();
   s.write_particles = scene.output().particles();
   s.write_contacts = scene.output().contacts();
+  s.measure = measure_of(file);
   return s;
 }
 

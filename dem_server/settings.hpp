@@ -12,6 +12,7 @@
 #include "common/scene.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/contact_law.hpp"
+#include "dem_server/regions.hpp"
 #include "dem_server/walls.hpp"
 
 namespace lockstep::dem {
@@ -77,6 +78,37 @@ struct BalanceSettings {
   std::uint32_t max_cycles = 0;
 };
 
+struct BallSettings {
+  Ball ball;
+  bool follows_pile = false;
+};
+
+struct GridSettings {
+  double cell = 0;           // [mean equivalent diameters]
+  std::optional<Box> box;    // none: the packing
+  std::uint32_t points = 0;  // a mean equivalent diameter
+  std::string where;         // file and key, for messages
+};
+
+struct TrackedSettings {
+  std::optional<std::uint32_t> grain;  // none: the nearest to
+  Vec3 near = Vec3::Zero();            // [m]
+  std::string where;                   // file and key, for messages
+};
+
+// From Apply on; nothing unless the scene asks.
+struct MeasureSettings {
+  std::uint32_t interval = 0;  // steps
+  std::vector<BallSettings> balls;
+  std::vector<GridSettings> grids;
+  std::vector<TrackedSettings> tracked;
+  bool fabric = false;
+  bool force_network = false;
+  bool energy_by_kind = false;  // in Output's history
+  // Whether Observers have anything to do.
+  bool is_any() const { return !balls.empty() || !grids.empty() || !tracked.empty() || fabric || force_network; }
+};
+
 struct Settings {
   std::string title;
   double gravity = 0;  // downwards [m/s2]
@@ -108,6 +140,7 @@ struct Settings {
   double snapshot_interval = 0;         // S/D, or seconds without a pile
   bool write_particles = true;
   bool write_contacts = true;
+  MeasureSettings measure;
 };
 
 // Throws InputError for what the ranges of single keys cannot catch.

@@ -219,8 +219,9 @@ void GrainsRun::balance() {
       m.particles.body_count(), m.particles.pebble_count(), assembly_.mean_radius, assembly_.solid_density,
       assembly_.cube_porosity, assembly_.overall_porosity);
 
-  for (const Vec3s* points : {&m.particles.position, &initial_.nodes})
-    for (const Vec3& x : *points) reach_ = std::max(reach_, x.norm());
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+    reach_ = std::max(reach_, std::as_const(m.particles).position(b).norm());
+  for (const Vec3& x : initial_.nodes) reach_ = std::max(reach_, x.norm());
 
   ServoSettings servo_settings;
   servo_settings.max_travel = settings_.balance.max_servo_travel * radius;
@@ -290,7 +291,7 @@ void GrainsRun::tell_balance(const Servo& servo, Clock::time_point begin) {
 
 BottomBalance GrainsRun::bottom_balance(const Servo& servo) const {
   BottomBalance b;
-  for (const double mass : model_->particles.mass) b.weight += mass * settings_.gravity;
+  b.weight = model_->particles.total_mass() * settings_.gravity;
   for (const Ring& ring : servo.rings())
     if (!ring.is_side()) b.force += ring.pressure * ring.area, b.area += ring.area;
   if (model_->pile) b.tip = servo.tip_pressure() * model_->pile->tip_area();
@@ -316,11 +317,12 @@ void GrainsRun::relax() {
   for (int n = 0; n < relax_cycles && largest > relaxed_overlap; ++n) {
     if (n % limit_interval == 0) held.time_step = renew_step();
     if (!cycle(m, held)) break;
-    for (Vec3& v : m.particles.velocity)
-      if (const double speed = v.norm(); speed > relax_speed) v *= relax_speed / speed;
-    for (std::size_t b = 0; b < m.particles.body_count(); ++b)
-      if (const double speed = m.particles.spin[b].norm() * m.particles.equivalent_radius[b]; speed > relax_speed)
-        m.particles.spin[b] *= relax_speed / speed;
+    for (std::size_t b = 0; b < m.particles.body_count(); ++b) {
+      if (const double speed = m.particles.velocity(b).norm(); speed > relax_speed)
+        m.particles.velocity(b) *= relax_speed / speed;
+      if (const double speed = m.particles.spin(b).norm() * m.particles.equivalent_radius(b); speed > relax_speed)
+        m.particles.spin(b) *= relax_speed / speed;
+    }
     largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap,
                         m.pile_totals.all().max_overlap, m.plane_totals.max_overlap});
     if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
@@ -351,9 +353,7 @@ void GrainsRun::grow() {
     if (n % grow_interval == 0) {
       const double change = (is_growing ? grow_rate : -release_rate) * grow_interval * held.time_step;
       growth *= 1 + change;
-      for (std::size_t b = 0; b < m.particles.body_count(); ++b)
-        m.particles.scale(static_cast<std::int32_t>(b), 1 + change);
-      m.particles.place_pebbles();
+      m.particles.scale_all(1 + change);
     }
     cycle(m, held);
     pressure += (m.facet_totals.normal_force / area - pressure) / grow_averaging;
@@ -449,9 +449,7 @@ void GrainsRun::excavate() {
   reply.offset = m.facets.offsets();
   reply.stable_step = limit_.step;
   // A node that nothing touches yet counts as if one grain did: a first touch must not find too long a step.
-  double first_touch = 0;
-  for (const double radius : m.particles.equivalent_radius)
-    first_touch = std::max(first_touch, m.facet_material.normal_stiffness(radius));
+  const double first_touch = m.facet_material.normal_stiffness(m.particles.largest_radius());
   told_stiffness_ = m.facets.node_stiffness();
   for (double& k : told_stiffness_) k = std::max(k, first_touch);
   reply.node_stiffness = told_stiffness_;
@@ -638,7 +636,7 @@ RunReport GrainsRun::finish() {
   r.worst_action_reaction = m.ledger.worst_action_reaction();
   r.kinetic_energy = m.ledger.energies().kinetic;
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
-    r.momentum += m.particles.mass[b] * m.particles.velocity[b];
+    r.momentum += m.particles.mass(b) * m.particles.velocity(b);
   r.end = end_;
   return r;
 }
@@ -648,18 +646,18 @@ RunReport GrainsRun::finish() {
 // What a run that has gone wrong shows, looked at every few cycles: the peer hears it by Abort.
 void GrainsRun::watch() {
   const Model& m = *model_;
-  if (!std::isfinite(m.motion.kinetic_energy)) {
+  if (!std::isfinite(m.motion.kinetic_energy())) {
     throw NumericalError(
         fmt::format("step {}: the grains' kinetic energy is not finite; the run went unstable: lower "
                     "fidelity.step_fraction (now {})",
                     m.step, settings_.step_fraction));
   }
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
-    if (!(m.particles.position[b].norm() < farthest * reach_))
+    if (!(m.particles.position(b).norm() < farthest * reach_))
       throw NumericalError(
           fmt::format("step {}: grain {} has left the scene (now at {:.3g} {:.3g} {:.3g} m): it went through a wall or "
                       "nothing holds it; close the scene with planes, or lower fidelity.step_fraction (now {})",
-                      m.step, b, m.particles.position[b].x(), m.particles.position[b].y(), m.particles.position[b].z(),
+                      m.step, b, m.particles.position(b).x(), m.particles.position(b).y(), m.particles.position(b).z(),
                       settings_.step_fraction));
   const double overlap = std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap);
   if (stage_ != protocol::Stage::Balance && overlap > alarming_overlap)
@@ -753,10 +751,12 @@ Json GrainsRun::summary() {
   j.add("seconds_by_phase", Json()
                                 .add("wait for peer", m.profile.seconds(Phase::WaitForPeer))
                                 .add("interface contacts", m.profile.seconds(Phase::InterfaceContacts))
+                                .add("contact lists", m.profile.seconds(Phase::Lists))
                                 .add("grain contacts", m.profile.seconds(Phase::PairContacts))
                                 .add("pile and planes", m.profile.seconds(Phase::WallContacts))
                                 .add("motion", m.profile.seconds(Phase::Motion))
-                                .add("ledger", m.profile.seconds(Phase::Ledger)));
+                                .add("ledger", m.profile.seconds(Phase::Ledger))
+                                .add("measurements", output_.measuring_seconds()));
   j.add("list_builds", m.contacts.rebuilds()).add("list_refreshes", m.contacts.refreshes());
   j.add("bytes_sent", session_.bytes_sent()).add("bytes_received", session_.bytes_received());
   j.add("state_hash", fmt::format("{:016x}", m.hash()));

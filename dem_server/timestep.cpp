@@ -22,9 +22,9 @@ Mat3 cross_matrix(const Vec3& r) {
 // Velocity of the contact point per mass-scaled velocity of the body: G of the header. Rotation in the body's axes.
 Mat36 mass_scaled_map(const Particles& particles, std::int32_t body, const Vec3& lever) {
   Mat36 g;
-  g.leftCols<3>() = Mat3::Identity() / std::sqrt(particles.mass[body]);
-  const Vec3 root = particles.inertia[body].cwiseSqrt().cwiseInverse();
-  g.rightCols<3>() = -cross_matrix(lever) * particles.orientation[body].toRotationMatrix() * root.asDiagonal();
+  g.leftCols<3>() = Mat3::Identity() / std::sqrt(particles.mass(body));
+  const Vec3 root = particles.inertia(body).cwiseSqrt().cwiseInverse();
+  g.rightCols<3>() = -cross_matrix(lever) * particles.orientation(body).toRotationMatrix() * root.asDiagonal();
   return g;
 }
 
@@ -54,12 +54,12 @@ void StiffnessSum::reset(std::size_t bodies) {
 }
 
 void StiffnessSum::add(const ContactView& contact, const Particles& particles) {
-  const Vec3 end = contact.body_b >= 0 ? particles.position[contact.body_b] : contact.point;
-  add(contact, particles, Vec3(end - particles.position[contact.body_a]));
+  const Vec3 end = contact.body_b >= 0 ? particles.position(contact.body_b) : contact.point;
+  add(contact, particles, Vec3(end - particles.position(contact.body_a)));
 }
 
 void StiffnessSum::add(const ContactView& contact, const Particles& particles, const Vec3& branch) {
-  const Vec3 lever_a = contact.point - particles.position[contact.body_a];
+  const Vec3 lever_a = contact.point - particles.position(contact.body_a);
   add_levers(contact, particles, lever_a, Vec3(lever_a - branch));
 }
 
@@ -117,13 +117,13 @@ double critical_step_power(const std::vector<ContactView>& contacts, const Parti
   for (std::size_t c = 0; c < contacts.size(); ++c) {
     const ContactView& contact = contacts[c];
     const Mat3 root = root_stiffness(contact);
-    const Vec3 lever_a = contact.point - particles.position[contact.body_a];
+    const Vec3 lever_a = contact.point - particles.position(contact.body_a);
     map_a.push_back(root * mass_scaled_map(particles, contact.body_a, lever_a));
     if (contact.body_b < 0) {
       map_b.push_back(Mat36::Zero());
     } else {
       const Vec3 lever_b =
-          branches.empty() ? Vec3(contact.point - particles.position[contact.body_b]) : Vec3(lever_a - branches[c]);
+          branches.empty() ? Vec3(contact.point - particles.position(contact.body_b)) : Vec3(lever_a - branches[c]);
       map_b.push_back(root * mass_scaled_map(particles, contact.body_b, lever_b));
     }
   }

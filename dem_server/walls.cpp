@@ -35,23 +35,23 @@ WallContact press(Particles& particles, std::int32_t pebble, std::int32_t part, 
                   const ContactHistory& history, WallTotals& totals) {
   WallContact contact;
   contact.pebble = pebble;
-  contact.body = particles.pebble_body[pebble];
+  contact.body = particles.pebble_body(pebble);
   contact.part = part;
   contact.overlap = overlap;
   contact.history = history;
 
-  const double radius = particles.equivalent_radius[contact.body];
+  const double radius = particles.equivalent_radius(contact.body);
   ContactMaterial law;
   law.normal_stiffness = material.normal_stiffness(radius, radius);
   law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
   law.friction = friction;
-  law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass[contact.body]);
+  law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(contact.body));
   contact.normal_stiffness = law.normal_stiffness;
   contact.shear_stiffness = law.shear_stiffness;
 
   const Vec3 normal = -outward;  // from grain to wall
   contact.point =
-      particles.pebble_center[pebble] + (particles.pebble_radius[pebble] - 0.5 * overlap) * normal;  // eq. 1
+      particles.pebble_center(pebble) + (particles.pebble_radius(pebble) - 0.5 * overlap) * normal;  // eq. 1
   const Vec3 approach = wall_velocity - particles.velocity_at(contact.body, contact.point);          // eq. 4
   const ContactResult result = contact_force(law, normal, overlap, approach, dt, contact.history);
   contact.force = result.force_on_a;
@@ -65,7 +65,7 @@ WallContact press(Particles& particles, std::int32_t pebble, std::int32_t part, 
   totals.slip_work += result.slip_work;
   totals.dashpot_work += result.dashpot_power * dt;
   totals.power += contact.force.dot(wall_velocity);
-  totals.max_overlap = std::max(totals.max_overlap, overlap / particles.pebble_radius[pebble]);
+  totals.max_overlap = std::max(totals.max_overlap, overlap / particles.pebble_radius(pebble));
   return contact;
 }
 
@@ -114,8 +114,8 @@ WallTotals Planes::compute(Particles& particles, const GrainMaterial& material, 
   sleeping_.fit(particles.pebble_count());
 
   for (std::size_t p = 0; p < particles.pebble_count(); ++p) {
-    const Vec3& center = particles.pebble_center[p];
-    const double radius = particles.pebble_radius[p];
+    const Vec3& center = particles.pebble_center(p);
+    const double radius = particles.pebble_radius(p);
     if (sleeping_.sleeps(p, center, radius, travel_)) continue;
     double gap = std::numeric_limits<double>::infinity();
     for (std::size_t k = 0; k < planes_.size(); ++k) {
@@ -224,8 +224,8 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
   const Vec3 velocity(0, 0, velocity_);
 
   for (std::size_t p = 0; p < particles.pebble_count(); ++p) {
-    const Vec3& center = particles.pebble_center[p];
-    const double radius = particles.pebble_radius[p];
+    const Vec3& center = particles.pebble_center(p);
+    const double radius = particles.pebble_radius(p);
     if (sleeping_.sleeps(p, center, radius, travel_)) continue;
     const PilePoint at = closest(center);
     const double gap = at.distance - radius;
@@ -247,10 +247,8 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
   totals.tip_force = totals.tip.force;
   totals.shaft_force = totals.shaft.force;
   totals.tip_stiffness = totals.tip.stiffness;
-  if (!particles.equivalent_radius.empty()) {
-    const double largest = *std::max_element(particles.equivalent_radius.begin(), particles.equivalent_radius.end());
-    totals.one_contact_stiffness = material.normal_stiffness(largest, largest);
-  }
+  const double largest = particles.largest_radius();
+  totals.one_contact_stiffness = material.normal_stiffness(largest, largest);
   return totals;
 }
 

@@ -28,18 +28,18 @@ struct FreeGrains {
     particles.clear_forces();
     contacts.update(particles);
     totals = contacts.compute(particles, material, dt);
-    integrate(particles, gravity, dt, dt, damping, motion);
+    motion = integrate(particles, gravity, dt, dt, damping);
     slip_work += totals.slip_work;
     dashpot_work += totals.dashpot_work;
     damped_work += motion.damped_work;
   }
 
   // Of the last step, at t_n [J].
-  double energy() const { return motion.kinetic_energy + totals.elastic_energy; }
+  double energy() const { return motion.kinetic_energy() + totals.elastic_energy(); }
 
   Vec3 momentum() const {
     Vec3 sum = Vec3::Zero();
-    for (std::size_t b = 0; b < particles.body_count(); ++b) sum += particles.mass[b] * particles.velocity[b];
+    for (std::size_t b = 0; b < particles.body_count(); ++b) sum += particles.mass(b) * particles.velocity(b);
     return sum;
   }
 
@@ -48,9 +48,9 @@ struct FreeGrains {
   Vec3 angular_momentum() const {
     Vec3 sum = Vec3::Zero();
     for (std::size_t b = 0; b < particles.body_count(); ++b) {
-      const Mat3 r = particles.orientation[b].toRotationMatrix();
-      sum += particles.mass[b] * particles.position[b].cross(particles.velocity[b]) +
-             r * particles.inertia[b].cwiseProduct(r.transpose() * particles.spin[b]);
+      const Mat3 r = particles.orientation(b).toRotationMatrix();
+      sum += particles.mass(b) * particles.position(b).cross(particles.velocity(b)) +
+             r * particles.inertia(b).cwiseProduct(r.transpose() * particles.spin(b));
     }
     return sum;
   }

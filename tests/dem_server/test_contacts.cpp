@@ -20,11 +20,11 @@ FreeGrains cloud(int pebbles, double skin, std::optional<Vec3> period = {}) {
   for (int k = 0; k < 216; ++k) {
     const Vec3 cell(k % 6, k / 6 % 6, k / 36);
     const double jx = random.uniform(-0.1, 0.1), jy = random.uniform(-0.1, 0.1), jz = random.uniform(-0.1, 0.1);
-    world.particles.add(shape, random.uniform(0.024, 0.030), 2650, spacing * (cell + Vec3(jx, jy, jz)),
-                        random.rotation());
+    const std::int32_t b = world.particles.add(shape, random.uniform(0.024, 0.030), 2650,
+                                               spacing * (cell + Vec3(jx, jy, jz)), random.rotation());
     const Vec3 inward = Vec3(2.5, 2.5, 2.5) - cell;
-    world.particles.velocity.back() = 0.2 * inward + Vec3(random.uniform(-1, 1), random.uniform(-1, 1), 0);
-    world.particles.spin.back() = Vec3(random.uniform(-9, 9), random.uniform(-9, 9), random.uniform(-9, 9));
+    world.particles.velocity(b) = 0.2 * inward + Vec3(random.uniform(-1, 1), random.uniform(-1, 1), 0);
+    world.particles.spin(b) = Vec3(random.uniform(-9, 9), random.uniform(-9, 9), random.uniform(-9, 9));
   }
   return world;
 }
@@ -40,18 +40,18 @@ Bounce bounce(double damping_share, double dt) {
   const double r = 0.03;
   world.sphere(Vec3(-r, 0, 0), r);
   world.sphere(Vec3(r, 0, 0), r);
-  world.particles.velocity[0].x() = 0.5;
-  world.particles.velocity[1].x() = -0.5;
+  world.particles.velocity(0).x() = 0.5;
+  world.particles.velocity(1).x() = -0.5;
   // v(-1/2) and v(1/2) are equal at a force-free t_0: the gap closes at t = 0 exactly.
   double time = 0, previous_gap = 0;
   while (true) {
     world.step(dt);
     time += dt;
-    const double gap = world.particles.position[1].x() - world.particles.position[0].x() - 2 * r;
+    const double gap = world.particles.position(1).x() - world.particles.position(0).x() - 2 * r;
     if (gap > 0) {
       const double part = previous_gap / (previous_gap - gap);  // linear between two steps
       world.step(dt);
-      return {world.particles.velocity[1].x() - world.particles.velocity[0].x(), time - dt + part * dt};
+      return {world.particles.velocity(1).x() - world.particles.velocity(0).x(), time - dt + part * dt};
     }
     previous_gap = gap;
   }
@@ -94,7 +94,7 @@ TEST_CASE("a sphere that slides on a wide fixed one ends up rolling at 5/7 of it
   world.material.friction = 0.3;
   const double mass = 2650 * 4.0 / 3.0 * pi * r * r * r, k = 1e4 * (floor + r);
   world.sphere(Vec3(0, 0, r - mass * g / k), r);
-  world.particles.velocity[1].x() = v0;
+  world.particles.velocity(1).x() = v0;
   MotionTotals motion;
   const std::vector<char> fixed = {1, 0};
   const double dt = 0.05 * std::sqrt(mass / k);
@@ -106,10 +106,10 @@ TEST_CASE("a sphere that slides on a wide fixed one ends up rolling at 5/7 of it
     world.particles.clear_forces();
     world.contacts.update(world.particles);
     world.contacts.compute(world.particles, world.material, dt);
-    integrate(world.particles, Vec3(0, 0, -g), dt, dt, 0, motion, &fixed);
+    integrate(world.particles, Vec3(0, 0, -g), dt, dt, 0, {&fixed});
     if (time < 0.06) continue;
-    v += world.particles.velocity[1].x();
-    slip += (world.particles.velocity[1].x() - world.particles.spin[1].y() * r) / v0;
+    v += world.particles.velocity(1).x();
+    slip += (world.particles.velocity(1).x() - world.particles.spin(1).y() * r) / v0;
     ++samples;
   }
   v /= samples;
@@ -128,7 +128,7 @@ TEST_CASE("a colliding cloud keeps momentum and angular momentum to round-off") 
     const Vec3 momentum = world.momentum(), angular = world.angular_momentum();
     double mass_speed = 0;
     for (std::size_t b = 0; b < world.particles.body_count(); ++b)
-      mass_speed += world.particles.mass[b] * world.particles.velocity[b].norm();
+      mass_speed += world.particles.mass(b) * world.particles.velocity(b).norm();
     std::int64_t touches = 0;
     for (int k = 0; k < 1000; ++k) {
       world.step(3e-5);
@@ -149,7 +149,7 @@ TEST_CASE("bits do not depend on the skin of the lists, nor on when they are ren
     for (int k = 0; k < 400; ++k) {
       tight.step(3e-5);
       wide.step(3e-5);
-      if (k % 37 == 0) disturbed.contacts.restore(disturbed.contacts.springs());
+      if (k % 37 == 0) disturbed.contacts.restore(disturbed.particles, disturbed.contacts.springs());
       disturbed.step(3e-5);
     }
     CAPTURE(pebbles, tight.contacts.refreshes(), wide.contacts.refreshes(), tight.contacts.rebuilds());
@@ -169,16 +169,16 @@ TEST_CASE("lists find every touching pair that a search of all pairs finds") {
   std::int64_t touching = 0;
   for (std::size_t i = 0; i < p.pebble_count(); ++i)
     for (std::size_t j = i + 1; j < p.pebble_count(); ++j)
-      touching += p.pebble_body[i] != p.pebble_body[j] &&
-                  (p.pebble_center[i] - p.pebble_center[j]).norm() < p.pebble_radius[i] + p.pebble_radius[j];
+      touching += p.pebble_body(i) != p.pebble_body(j) &&
+                  (p.pebble_center(i) - p.pebble_center(j)).norm() < p.pebble_radius(i) + p.pebble_radius(j);
   std::int64_t visited = 0;
   Vec3 force = Vec3::Zero();
-  world.contacts.for_each_contact([&](const ContactView& c) {
+  world.contacts.for_each_contact(world.particles, [&](const ContactView& c) {
     ++visited;
     if (c.body_a == 100) force += c.force_on_a;
     if (c.body_b == 100) force -= c.force_on_a;
   });
-  const double force_error = (force - p.force[100]).norm();
+  const double force_error = (force - p.force(100)).norm();
   CAPTURE(touching, totals.active, force.norm(), force_error);
   CHECK(force_error <= 1e-12 * force.norm());
   CHECK(totals.active == touching);
@@ -229,35 +229,36 @@ TEST_CASE("friction's ledger closes: kinetic plus elastic plus slip is constant"
 
 TEST_CASE("turning a loaded pair as a whole turns its force with it") {
   // Two spheres pressed and sheared, then turned rigidly about z in 500 steps of prescribed motion: the shear force
-  // along z and the one in the plane must both come along unchanged in size.
+  // along z and the one in the plane must both come along unchanged in size. The prescribed velocity is tangential, theta/dt
+  // instead of the chord's sin(theta)/dt, theta = pi/1000: the turn errs by theta^4/12 a step, 4e-9 in all.
   FreeGrains world;
   const double r = 0.03, dt = 1e-5;
   world.sphere(Vec3(-r + 1e-5, 0, 0), r);
   world.sphere(Vec3(r - 1e-5, 0, 0), r);
-  world.particles.velocity[1] = Vec3(0, 0.02, 0.05);
+  world.particles.velocity(1) = Vec3(0, 0.02, 0.05);
   const auto touch = [&] {
     world.particles.clear_forces();
     world.contacts.update(world.particles);
     world.contacts.compute(world.particles, world.material, dt);
   };
   touch();
-  const Vec3 loaded = world.particles.force[0];
+  const Vec3 loaded = world.particles.force(0);
   REQUIRE(std::abs(loaded.y()) > 0.1);
   const double spin = 0.5 * pi / (500 * dt);
   for (int k = 1; k <= 500; ++k) {
     const Quat turn(Eigen::AngleAxisd(0.5 * pi * k / 500, Vec3::UnitZ()));
     for (int b : {0, 1}) {
-      world.particles.position[b] = turn * Vec3((b == 0 ? -1 : 1) * (r - 1e-5), 0, 0);
-      world.particles.velocity[b] = Vec3(0, 0, spin).cross(world.particles.position[b]);
-      world.particles.spin[b] = Vec3(0, 0, spin);
+      world.particles.position(b) = turn * Vec3((b == 0 ? -1 : 1) * (r - 1e-5), 0, 0);
+      world.particles.velocity(b) = Vec3(0, 0, spin).cross(world.particles.position(b));
+      world.particles.spin(b) = Vec3(0, 0, spin);
     }
     world.particles.place_pebbles();
     touch();
   }
   const Vec3 expected(-loaded.y(), loaded.x(), loaded.z());
-  const double error = (world.particles.force[0] - expected).norm() / loaded.norm();
-  CAPTURE(loaded.transpose(), world.particles.force[0].transpose(), error);
-  CHECK(error < 1e-10);
+  const double error = (world.particles.force(0) - expected).norm() / loaded.norm();
+  CAPTURE(loaded.transpose(), world.particles.force(0).transpose(), error);
+  CHECK(error < 5e-9);
 }
 
 TEST_CASE("contacts act across the faces of a periodic cell as they do inside it") {
@@ -269,7 +270,7 @@ TEST_CASE("contacts act across the faces of a periodic cell as they do inside it
     world.sphere(at + Vec3(0.05, 0.02, 0.02) + image, 0.03);
     world.contacts.update(world.particles);
     world.contacts.compute(world.particles, world.material, 1e-5);
-    return Vec3(world.particles.force[1]);
+    return Vec3(world.particles.force(1));
   };
   const Vec3 inside = force_at(Vec3(0.1, 0.1, 0.1), Vec3::Zero());
   REQUIRE(inside.norm() > 1);
@@ -292,7 +293,8 @@ TEST_CASE("a squeezed cubic lattice has the modulus k/(2R) along its axes") {
   world.contacts.update(world.particles);
   world.contacts.compute(world.particles, world.material, 1e-5);
   MeanStress stress(Box{Vec3::Zero(), Vec3(10 * r * (1 - squeeze), 10 * r, 10 * r)});
-  world.contacts.for_each_branch([&](const ContactView& c, const Vec3& branch) { stress.add(c, branch); });
+  world.contacts.for_each_branch(world.particles,
+                                 [&](const ContactView& c, const Vec3& branch) { stress.add(c, branch); });
   const double modulus = -stress.stress()[0] / squeeze;
   const double error = modulus / 94e6 - 1;  // branch and volume are shorter by the same factor
   CAPTURE(modulus, error, stress.stress().transpose());
@@ -308,16 +310,16 @@ TEST_CASE("a compression wave runs along a chain at the speed of the discrete th
   const double r = 0.03, d = 2 * r * (1 - 1e-3);
   FreeGrains world(0.003, Vec3(n * d, n * d, n * d));
   for (int k = 0; k < n; ++k) world.sphere(Vec3((k + 0.5) * d, 0, 0), r);
-  const double mass = world.particles.mass[0], stiffness = 94e6 * 2 * r, dt = 0.1 * std::sqrt(mass / stiffness);
+  const double mass = world.particles.mass(0), stiffness = 94e6 * 2 * r, dt = 0.1 * std::sqrt(mass / stiffness);
   const double omega = 2 * std::sqrt(stiffness / mass) * std::sin(pi / n);
   const double omega_discrete = 2 / dt * std::asin(0.5 * omega * dt);
-  for (int k = 0; k < n; ++k) world.particles.velocity[k].x() = 1e-3 * std::sin(2 * pi * k / n);
+  for (int k = 0; k < n; ++k) world.particles.velocity(k).x() = 1e-3 * std::sin(2 * pi * k / n);
   // Velocity at t_{-1/2} is the same as at t_{1/2} at a force-free start: v(t) = v0 cos(omega (t)) / cos(omega dt / 2).
   double last = 1, time = 0.5 * dt, zero = 0;
   for (int step = 0; step < 1000 && zero == 0; ++step) {
     world.step(dt);
     double amplitude = 0;
-    for (int k = 0; k < n; ++k) amplitude += world.particles.velocity[k].x() * std::sin(2 * pi * k / n);
+    for (int k = 0; k < n; ++k) amplitude += world.particles.velocity(k).x() * std::sin(2 * pi * k / n);
     if (step > 0) time += dt;
     if (amplitude < 0) zero = time - dt * amplitude / (amplitude - last);
     last = amplitude;
@@ -331,7 +333,7 @@ TEST_CASE("a compression wave runs along a chain at the speed of the discrete th
 TEST_CASE("a grain that is no longer at a finite place is named") {
   FreeGrains world = cloud(1, 0.003);
   world.step(1e-5);
-  world.particles.position[17].y() = std::numeric_limits<double>::quiet_NaN();
+  world.particles.position(17).y() = std::numeric_limits<double>::quiet_NaN();
   world.particles.place_pebbles();
   CHECK_THROWS_AS(world.contacts.update(world.particles), NumericalError);
   CHECK_THROWS_WITH(world.contacts.update(world.particles), Catch::Contains("grain 17"));

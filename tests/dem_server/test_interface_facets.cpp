@@ -25,9 +25,16 @@ Particles spheres_at(const Vec3s& centers) {
 }
 
 void put(Particles& p, const Vec3& center) {
-  p.position[0] = center;
+  p.position(0) = center;
   p.place_pebbles();
   p.clear_forces();
+}
+
+// Of all bodies [N].
+Vec3s forces_on(const Particles& p) {
+  Vec3s forces;
+  for (std::size_t b = 0; b < p.body_count(); ++b) forces.push_back(p.force(b));
+  return forces;
 }
 
 FacetMaterial material(double friction) {
@@ -189,7 +196,7 @@ TEST_CASE("Anywhere on a plane of facets a sphere has one contact with k_n U alo
     Particles p = spheres_at({tilt * Vec3(x, y, R - overlap)});
     const FacetTotals totals = surface.compute(p, material(0), 0);
     REQUIRE(totals.contacts == 1);
-    worst = std::max(worst, (p.force[0] - tilt * Vec3(0, 0, k_n * overlap)).norm() / (k_n * overlap));
+    worst = std::max(worst, (p.force(0) - tilt * Vec3(0, 0, k_n * overlap)).norm() / (k_n * overlap));
     double stiffness = 0;
     for (const double k : surface.node_stiffness()) stiffness += k;
     REQUIRE(stiffness == Approx(k_n).epsilon(1e-12));
@@ -206,14 +213,14 @@ TEST_CASE("A shear spring goes on growing over edges and nodes of a plane") {
   for (const Vec3& direction : {Vec3(1, 1, 0), Vec3(1, 0, 0), Vec3(1, 0.37, 0)}) {
     surface.clear_history();
     Particles p = spheres_at({{0.5 * h, 0.5 * h, R - overlap}});
-    p.velocity[0] = 2.0 * direction;
-    const Vec3 start = p.position[0];
+    p.velocity(0) = 2.0 * direction;
+    const Vec3 start = p.position(0);
     double worst = 0;
     for (int n = 1; n <= 1000; ++n) {
-      put(p, start + p.velocity[0] * dt * n);
+      put(p, start + p.velocity(0) * dt * n);
       REQUIRE(surface.compute(p, material(1e9), dt).contacts == 1);
-      const Vec3 expected = Vec3(0, 0, k_n * overlap) - k_s * n * dt * p.velocity[0];
-      worst = std::max(worst, (p.force[0] - expected).norm() / expected.norm());
+      const Vec3 expected = Vec3(0, 0, k_n * overlap) - k_s * n * dt * p.velocity(0);
+      worst = std::max(worst, (p.force(0) - expected).norm() / expected.norm());
     }
     CAPTURE(direction.transpose(), worst);
     CHECK(worst < 1e-11);
@@ -238,10 +245,10 @@ TEST_CASE("A sphere rolled around the hole's side has one contact and a force wi
       Particles p = spheres_at({{q * std::cos(angle), q * std::sin(angle), -0.17}});
       const FacetTotals totals = surface.compute(p, material(0), 0);
       REQUIRE(totals.contacts == 1);
-      if (i > 0) worst = std::max(worst, (p.force[0] - last).norm() / (k_n * (p.position[0] - last_center).norm()));
+      if (i > 0) worst = std::max(worst, (p.force(0) - last).norm() / (k_n * (p.position(0) - last_center).norm()));
       deepest = std::max(deepest, surface.contacts()[0].overlap);
-      last = p.force[0];
-      last_center = p.position[0];
+      last = p.force(0);
+      last_center = p.position(0);
     }
     INFO(around << " facets: largest change " << worst << " of k_n s, jump of the deepest alone "
                 << 2 * std::sin(half) * overlap / (4 * half * r / steps) << "; largest overlap / U "
@@ -268,7 +275,7 @@ TEST_CASE("No energy comes from rolling around over a concave edge") {
         const Vec3 along = corner[leg + 1] - corner[leg];
         Particles p = spheres_at({corner[leg] + (i + 0.5) / n * along});
         REQUIRE(surface.compute(p, material(0), 0).contacts == 1);
-        total += p.force[0].dot(along) / n;
+        total += p.force(0).dot(along) / n;
       }
     return total;
   };
@@ -287,10 +294,10 @@ TEST_CASE("Where side meets bottom at a right angle a sphere has two contacts") 
     const double r = (hole_radius * std::cos(half) - R + overlap) / std::cos(off);
     Particles p = spheres_at({{r * std::cos(angle), r * std::sin(angle), -0.4 + R - overlap}});
     const FacetTotals totals = surface.compute(p, material(0), 0);
-    CAPTURE(angle, p.force[0].transpose(), k_n * overlap);
+    CAPTURE(angle, p.force(0).transpose(), k_n * overlap);
     CHECK(totals.contacts == 2);
-    CHECK(p.force[0].z() == Approx(k_n * overlap).epsilon(1e-9));
-    const double outwards = -p.force[0].dot(Vec3(std::cos(angle), std::sin(angle), 0));
+    CHECK(p.force(0).z() == Approx(k_n * overlap).epsilon(1e-9));
+    const double outwards = -p.force(0).dot(Vec3(std::cos(angle), std::sin(angle), 0));
     // The side's part: k_n U, over an edge of the side k_n U / cos(half).
     CHECK(outwards > std::cos(half) * k_n * overlap);
     CHECK(outwards < (1 + 1e-9) * k_n * overlap / std::cos(half));
@@ -311,12 +318,12 @@ TEST_CASE("Around a convex right-angle edge a sphere has one contact whose norma
     const double angle = std::clamp(s / d, 0.0, pi / 2);
     const Vec3 normal(std::sin(angle), 0, std::cos(angle));
     put(p, d * normal + Vec3(std::min(0.0, s), 0.01, -std::max(0.0, s - d * pi / 2)));
-    p.velocity[0] = {0, 0.1, 0};  // for a spring along the edge
+    p.velocity(0) = Vec3(0, 0.1, 0);  // for a spring along the edge
     REQUIRE(surface.compute(p, material(1e9), dt).contacts == 1);
     const Vec3 expected = k_n * overlap * normal - Vec3(0, (i + 1) * k_s * dt * 0.1, 0);
-    worst_normal = std::max(worst_normal, (p.force[0] - expected).norm() / expected.norm());
-    if (i > 0) worst_turn = std::max(worst_turn, (p.force[0] - last).norm() / (k_n * overlap));
-    last = p.force[0];
+    worst_normal = std::max(worst_normal, (p.force(0) - expected).norm() / expected.norm());
+    if (i > 0) worst_turn = std::max(worst_turn, (p.force(0) - last).norm() / (k_n * overlap));
+    last = p.force(0);
   }
   CAPTURE(worst_normal, worst_turn);
   CHECK(worst_normal < 1e-9);
@@ -327,9 +334,9 @@ TEST_CASE("From inside a convex edge a sphere is pushed out through the nearer s
   InterfaceFacets surface = strip({{-0.1, 0}, {0, 0}, {0, -0.1}}).surface();
   Particles p = spheres_at({{-0.5 * R, 0.1, -0.2 * R}});
   const FacetTotals totals = surface.compute(p, material(0), 0);
-  CAPTURE(p.force[0].transpose());
+  CAPTURE(p.force(0).transpose());
   CHECK(totals.contacts == 1);
-  CHECK((p.force[0] - Vec3(0, 0, 1.2 * k_n * R)).norm() < 1e-9 * k_n * R);
+  CHECK((p.force(0) - Vec3(0, 0, 1.2 * k_n * R)).norm() < 1e-9 * k_n * R);
 }
 
 TEST_CASE("In a concave right-angle edge each contact keeps its own spring") {
@@ -338,27 +345,27 @@ TEST_CASE("In a concave right-angle edge each contact keeps its own spring") {
   InterfaceFacets surface = strip({{-0.1, 0}, {0, 0}, {0, 0.1}}).surface();
   const double overlap = 2e-4, dt = 1e-4, v = 0.5;
   Particles p = spheres_at({{-R + overlap, -0.02, R - overlap}});
-  p.velocity[0] = {0, v, 0};
+  p.velocity(0) = Vec3(0, v, 0);
   const int steps = 800;
   for (int i = 1; i <= steps; ++i) {
     put(p, {-R + overlap, -0.02 + i * v * dt, R - overlap});
     REQUIRE(surface.compute(p, material(1e9), dt).contacts == 2);
   }
   const double expected = -2 * k_s * steps * v * dt;
-  CAPTURE(p.force[0].transpose(), expected);
-  CHECK(p.force[0].y() == Approx(expected).epsilon(1e-10));
-  CHECK(p.force[0].z() == Approx(k_n * overlap).epsilon(1e-9));
+  CAPTURE(p.force(0).transpose(), expected);
+  CHECK(p.force(0).y() == Approx(expected).epsilon(1e-10));
+  CHECK(p.force(0).z() == Approx(k_n * overlap).epsilon(1e-9));
 }
 
 TEST_CASE("A right angle pushes a deep sphere back from behind either side") {
   InterfaceFacets surface = strip({{-0.1, 0}, {0, 0}, {0, 0.1}}).surface();
   Particles p = spheres_at({{0.2 * R, 0.1, 0.5 * R}});  // behind the wall, above the floor's level
   CHECK(surface.compute(p, material(0), 0).contacts >= 1);
-  CHECK(p.force[0].x() == Approx(-k_n * 1.2 * R).epsilon(1e-9));
+  CHECK(p.force(0).x() == Approx(-k_n * 1.2 * R).epsilon(1e-9));
   put(p, {0.1 * R, 0.1, -0.1 * R});  // behind both: back over the edge, which is the closest point
   CHECK(surface.compute(p, material(0), 0).contacts == 1);
   const double deep = k_n * (1 + 0.1 * std::sqrt(2.0)) * R;
-  CHECK((p.force[0] - deep * Vec3(-1, 0, 1) / std::sqrt(2.0)).norm() < 1e-9 * deep);
+  CHECK((p.force(0) - deep * Vec3(-1, 0, 1) / std::sqrt(2.0)).norm() < 1e-9 * deep);
 }
 
 // ------------------------------------------------------------------------------------------- sides and tunnelling
@@ -370,10 +377,10 @@ TEST_CASE("A sphere that went through is pushed back, and counted once it is dee
       surface.clear_history();
       Particles p = spheres_at({over + Vec3(0, 0, z * R)});
       const FacetTotals totals = surface.compute(p, material(0), 0);
-      CAPTURE(z, over.transpose(), p.force[0].transpose());
+      CAPTURE(z, over.transpose(), p.force(0).transpose());
       CHECK(totals.contacts == 1);
-      CHECK(p.force[0].z() == Approx(k_n * R * (1 - z)).epsilon(1e-9));
-      CHECK(p.force[0].head<2>().norm() < 1e-9 * p.force[0].z());
+      CHECK(p.force(0).z() == Approx(k_n * R * (1 - z)).epsilon(1e-9));
+      CHECK(p.force(0).head<2>().norm() < 1e-9 * p.force(0).z());
       CHECK(totals.tunnelled == (z < -0.5 ? 1 : 0));
       CHECK(surface.tunnelled() == totals.tunnelled);
     }
@@ -394,26 +401,26 @@ TEST_CASE("Grains and nodes get opposite forces; the moments differ by |F_s| U/2
   const Vec3 normal = facet_tangent_xi(x, -0.4).cross(facet_tangent_eta(x, 0.3)).normalized();
   const double overlap = 5e-4;
   Particles p = spheres_at({at + (R - overlap) * normal});
-  p.velocity[0] = {0.5, -0.3, 0.2};
-  p.spin[0] = {3, 5, -2};
+  p.velocity(0) = Vec3(0.5, -0.3, 0.2);
+  p.spin(0) = Vec3(3, 5, -2);
   const FacetTotals totals = surface.compute(p, material(0.5), 1e-4);
   REQUIRE(totals.contacts == 1);
   const FacetContact& contact = surface.contacts()[0];
   CHECK((contact.foot - at).norm() < 1e-13);
 
-  const Vec3 balance = p.force[0] + sum(surface.nodal_force());
-  Vec3 moment = p.position[0].cross(p.force[0]) + p.torque[0];
+  const Vec3 balance = p.force(0) + sum(surface.nodal_force());
+  Vec3 moment = p.position(0).cross(p.force(0)) + p.torque(0);
   for (std::size_t i = 0; i < surface.node_count(); ++i)
     moment += surface.positions()[i].cross(surface.nodal_force()[i]);
-  const Vec3 shear = p.force[0] - p.force[0].dot(normal) * normal;
+  const Vec3 shear = p.force(0) - p.force(0).dot(normal) * normal;
   const double expected = shear.norm() * overlap / 2;
-  INFO("force " << balance.norm() << " N of " << p.force[0].norm() << "; moment " << moment.norm() << " N m, expected "
+  INFO("force " << balance.norm() << " N of " << p.force(0).norm() << "; moment " << moment.norm() << " N m, expected "
                 << expected << ", reported " << totals.neglected_moment);
   CHECK(shear.norm() > 1);
-  CHECK(balance.norm() < 1e-14 * p.force[0].norm());
+  CHECK(balance.norm() < 1e-14 * p.force(0).norm());
   CHECK(moment.norm() == Approx(expected).epsilon(1e-9));
   CHECK(totals.neglected_moment == Approx(expected).epsilon(1e-9));
-  CHECK((sum(surface.facet_force()) + p.force[0]).norm() < 1e-14 * p.force[0].norm());
+  CHECK((sum(surface.facet_force()) + p.force(0)).norm() < 1e-14 * p.force(0).norm());
 }
 
 TEST_CASE("The facets' power on the grains is what the nodes lose") {
@@ -444,15 +451,15 @@ TEST_CASE("The velocity at a contact is the nodes' by N_j, and offsets add their
   Particles p = spheres_at({{0.061, 0.083, R - 1e-4}});
   surface.compute(p, material(1e9), 1e-3);
   const Vec3 expected = k_s * 1e-3 * Vec3(2 * 0.061 + 3 * 0.083, 0.25, 0);
-  CAPTURE(p.force[0].transpose(), expected.transpose());
-  CHECK((p.force[0].head<2>() - expected.head<2>()).norm() < 1e-11 * expected.norm());
+  CAPTURE(p.force(0).transpose(), expected.transpose());
+  CHECK((p.force(0).head<2>() - expected.head<2>()).norm() < 1e-11 * expected.norm());
 }
 
 TEST_CASE("Elastic energy and largest overlap are those of the springs") {
   InterfaceFacets surface = sheet(3, 0.05, [](double, double) { return 0.0; }).surface();
   const double overlap = 1e-4, dt = 1e-4, v = 0.2;
   Particles p = spheres_at({{0.061, 0.083, R - overlap}});
-  p.velocity[0] = {v, 0, 0};
+  p.velocity(0) = Vec3(v, 0, 0);
   const FacetTotals totals = surface.compute(p, material(1e9), dt);
   const double energy = 0.5 * k_n * overlap * overlap + 0.5 * k_s * v * v * dt * dt;
   CAPTURE(totals.elastic_energy, energy);
@@ -478,12 +485,12 @@ TEST_CASE("The collar holds grains above the surface and hands their force to th
     surface.clear_history();
     Particles p = spheres_at({{r * std::cos(half), r * std::sin(half), z}});
     const FacetTotals totals = surface.compute(p, material(0), 0);
-    CAPTURE(z, p.force[0].transpose());
+    CAPTURE(z, p.force(0).transpose());
     CHECK(totals.contacts == 1);
-    CHECK((p.force[0] + k_n * overlap * Vec3(std::cos(half), std::sin(half), 0)).norm() < 1e-9 * k_n * overlap);
+    CHECK((p.force(0) + k_n * overlap * Vec3(std::cos(half), std::sin(half), 0)).norm() < 1e-9 * k_n * overlap);
     const Vec3 ring = surface.nodal_force()[64] + surface.nodal_force()[65];
-    if (z >= 0) CHECK((ring + p.force[0]).norm() < 1e-9 * k_n * overlap);
-    CHECK((surface.facet_force()[32] + p.force[0]).norm() < 1e-12 * k_n * overlap);
+    if (z >= 0) CHECK((ring + p.force(0)).norm() < 1e-9 * k_n * overlap);
+    CHECK((surface.facet_force()[32] + p.force(0)).norm() < 1e-12 * k_n * overlap);
     CHECK(surface.facet_stiffness()[32] == Approx(k_n));
   }
   // Its upper nodes move with the ring.
@@ -532,9 +539,9 @@ TEST_CASE("Candidate lists do not change the answer, nor does a restart") {
   std::size_t contacts = 0;
   Vec3s velocity = still(surface);
   for (int step = 0; step < 100; ++step) {
-    for (Vec3& x : p.position)
-      x += 0.01 * random.uniform() * random.uniform() *
-           Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    for (std::size_t b = 0; b < p.body_count(); ++b)
+      p.position(b) += 0.01 * random.uniform() * random.uniform() *
+                       Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
     for (Vec3& v : velocity) v = 10 * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
     p.place_pebbles();
     p.clear_forces();
@@ -545,9 +552,9 @@ TEST_CASE("Candidate lists do not change the answer, nor does a restart") {
     contacts += surface.compute(p, material(0.5), 1e-4).contacts;
     fresh.compute(q, material(0.5), 1e-4);
     Hash with, without;
-    surface.hash(with), with.add(std::span<const Vec3>(p.force)),
+    surface.hash(with), with.add(std::span<const Vec3>(forces_on(p))),
         with.add(std::span<const Vec3>(surface.nodal_force()));
-    fresh.hash(without), without.add(std::span<const Vec3>(q.force)),
+    fresh.hash(without), without.add(std::span<const Vec3>(forces_on(q))),
         without.add(std::span<const Vec3>(fresh.nodal_force()));
     REQUIRE(with.value() == without.value());
   }
@@ -582,7 +589,8 @@ TEST_CASE("2000 random spheres on a random wavy surface: weights, sums and one c
     centers.push_back(
         {random.uniform(-0.01, n * h + 0.01), random.uniform(-0.01, n * h + 0.01), random.uniform(-0.02, 0.04)});
   Particles p = spheres_at(centers);
-  for (Vec3& v : p.velocity) v = {random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)};
+  for (std::size_t b = 0; b < p.body_count(); ++b)
+    p.velocity(b) = Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
   InterfaceFacets surface = mesh.surface();
   surface.compute(p, material(0.7), 1e-4);
   p.clear_forces();
@@ -609,7 +617,7 @@ TEST_CASE("2000 random spheres on a random wavy surface: weights, sums and one c
     REQUIRE(std::abs(c.history.normal.dot(c.history.spring)) < 1e-9 * (1 + c.history.spring.norm()));
     size += c.force.norm();
   }
-  Vec3 balance = sum(p.force) + sum(surface.nodal_force());
+  Vec3 balance = sum(forces_on(p)) + sum(surface.nodal_force());
   INFO(totals.contacts << " contacts, " << merged << " on several facets, " << with_two
                        << " second ones; worst |sum N - 1| " << worst_sum << ", smallest weight " << worst_weight
                        << ", |sum F| / sum |F| " << balance.norm() / size << ", tunnelled " << totals.tunnelled);
@@ -642,7 +650,7 @@ TEST_CASE("On a random wavy surface the force follows a small move by a small ch
     surface.compute(p, material(0), 0);
     surface.clear_history();
     surface.compute(q, material(0), 0);
-    worst = std::max(worst, (p.force[0] - q.force[0]).norm() / (k_n * s));
+    worst = std::max(worst, (p.force(0) - q.force(0)).norm() / (k_n * s));
   }
   CAPTURE(worst);
   CHECK(worst < 1.001);

@@ -59,8 +59,12 @@ TEST_CASE("mean stress of a squeezed pair and of a weight on a wall is force tim
   CHECK(s[3] == Approx(1));
   CHECK(s[2] == Approx(-1.5));
   CHECK(stress.pressure() == Approx(6.5 / 3));
+  // A contact whose way lies outside adds nothing.
+  p.add(make_clump(1, 1), 0.5, 1000, Vec3(5, 0.5, 0.5), Quat::Identity());
+  p.add(make_clump(1, 1), 0.5, 1000, Vec3(6, 0.5, 0.5), Quat::Identity());
   ContactView outside = pair;
-  outside.point = Vec3(3, 0, 0);
+  outside.body_a = 2, outside.body_b = 3;
+  outside.point = Vec3(5.5, 0.5, 0.5);
   stress.add(outside, p);
   CHECK(stress.stress() == s);
 }
@@ -75,10 +79,11 @@ TEST_CASE("coordination counts partners, not pebble contacts") {
   c.add(v);
   v.body_b = -1;
   c.add(v);
-  CHECK(c.partners(0) == 3);
-  CHECK(c.partners(1) == 1);
-  CHECK(c.mean() == Approx(5.0 / 4));
-  CHECK(c.rattlers(3) == 3);
+  const PartnerCounts partners = c.partners();
+  CHECK(partners[0] == 3);
+  CHECK(partners[1] == 1);
+  CHECK(partners.mean() == Approx(5.0 / 4));
+  CHECK(partners.rattlers(3) == 3);
 }
 
 TEST_CASE("the unbalanced ratio is mean force per body over mean force per contact") {
@@ -86,4 +91,25 @@ TEST_CASE("the unbalanced ratio is mean force per body over mean force per conta
   CHECK(unbalanced_ratio(0, 5, 0, 0) == 0);
   CHECK(std::isinf(unbalanced_ratio(1, 5, 0, 0)));
   CHECK(unbalanced_ratio(0, 0, 0, 0) == 0);
+}
+
+TEST_CASE("energies by kind are those of velocity and spin, and of the two springs") {
+  // A clump spins about its own long axis, which lies along y after a quarter turn: 1/2 I_long w^2 with that one moment.
+  Particles p;
+  const Quat quarter(Eigen::AngleAxisd(pi / 2, Vec3::UnitZ()));
+  const auto b = p.add(make_clump(3, 1.5), 0.3, 1000, Vec3::Zero(), quarter);
+  p.spin(b) = Vec3(0, 4, 0);
+  p.velocity(b) = Vec3(1, 2, 3);
+  const KineticEnergies k = kinetic_energies(p);
+  CHECK(k.translational == Approx(0.5 * p.mass(b) * 14));
+  CHECK(k.rotational == Approx(0.5 * p.inertia(b).x() * 16));
+  CHECK(p.inertia(b).x() < 0.9 * p.inertia(b).y());
+
+  ContactView c;
+  c.normal = Vec3::UnitZ(), c.overlap = 0.01, c.normal_stiffness = 2e4, c.shear_stiffness = 5e3;
+  c.force_on_a = Vec3(30, 40, -2e4 * 0.01);
+  ElasticEnergies e;
+  e.add(c);
+  CHECK(e.normal == Approx(0.5 * 2e4 * 1e-4));
+  CHECK(e.shear == Approx(0.5 * 2500 / 5e3));
 }

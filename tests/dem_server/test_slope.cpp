@@ -35,10 +35,10 @@ struct Slope {
   double slip_work = 0, dashpot_work = 0;                           // up to t_n [J]
   Vec3 position = Vec3::Zero();                                     // of the centre of mass at t_n [m]
   double lever = 0, height = 0, normal_k = 0, shear_k = 0;          // c, h [m], k_n, k_s [N/m]
-  double weight() const { return block.mass[0] * gravity.norm(); }  // [N]
+  double weight() const { return block.mass(0) * gravity.norm(); }  // [N]
 
   // Kinetic and elastic, at t_n [J].
-  double energy() const { return motion.kinetic_energy + contacts.elastic_energy; }
+  double energy() const { return motion.kinetic_energy() + contacts.elastic_energy; }
 
   // On the level ground, as deep in it as its weight asks for.
   Slope() : plane({{Vec3::Zero(), Vec3::UnitZ(), Vec3::Zero()}}, friction), gravity(0, 0, -standard_gravity) {
@@ -47,11 +47,11 @@ struct Slope {
     normal_k = material.normal_stiffness(radius, radius);
     shear_k = normal_k / material.stiffness_ratio;
     const double overlap = weight() / (2 * normal_k);
-    lever = block.pebble_offset[1].x();
-    height = block.pebble_radius[0] - overlap / 2;  // contacts are in the middle of the overlap
-    block.position[0].z() = block.pebble_radius[0] - overlap;
+    lever = block.pebble_offset(1).x();
+    height = block.pebble_radius(0) - overlap / 2;  // contacts are in the middle of the overlap
+    block.position(0).z() = block.pebble_radius(0) - overlap;
     block.place_pebbles();
-    dt = 0.1 * std::sqrt(block.mass[0] / (2 * normal_k));
+    dt = 0.1 * std::sqrt(block.mass(0) / (2 * normal_k));
   }
 
   void step(double damping) {
@@ -59,8 +59,8 @@ struct Slope {
     contacts = plane.compute(block, material, dt);
     slip_work += contacts.slip_work;
     dashpot_work += contacts.dashpot_work;
-    position = block.position[0];
-    integrate(block, gravity, dt, dt, damping, motion);
+    position = block.position(0);
+    motion = integrate(block, gravity, dt, dt, damping);
   }
 
   // Turns gravity smoothly to `theta` within half a second, hundreds of periods of the springs, and for as long lets the block come
@@ -93,10 +93,10 @@ TEST_CASE("A block rests on a slope less steep than its friction, moved by its s
     const double pitch = pull * slope.height / (2 * slope.lever * slope.lever * slope.normal_k);
     const bool sticks = pull / 2 < friction * rear;
     const double expected = (sticks ? pull / 2 : pull - friction * rear) / slope.shear_k + slope.height * pitch;
-    const double error = slope.block.position[0].x() / expected - 1;
-    const double held = (slope.contacts.force - slope.block.mass[0] * slope.gravity).norm() / slope.weight();
-    const double speed = slope.block.velocity[0].norm();
-    INFO("tan theta / mu " << share << ": moved " << slope.block.position[0].x() << " m, expected " << expected
+    const double error = slope.block.position(0).x() / expected - 1;
+    const double held = (slope.contacts.force - slope.block.mass(0) * slope.gravity).norm() / slope.weight();
+    const double speed = slope.block.velocity(0).norm();
+    INFO("tan theta / mu " << share << ": moved " << slope.block.position(0).x() << " m, expected " << expected
                            << " m, error " << error << "; speed " << speed
                            << " m/s, the slope bears its weight but for " << held << "; slip work " << slope.slip_work
                            << " J");
@@ -122,7 +122,7 @@ TEST_CASE("A block slides down a steeper slope at g (sin theta - mu cos theta), 
     const Slope before = slope;
     for (int i = 0; i < steps; ++i) slope.step(0);
 
-    const double acceleration = (slope.block.velocity[0].x() - before.block.velocity[0].x()) / (steps * slope.dt);
+    const double acceleration = (slope.block.velocity(0).x() - before.block.velocity(0).x()) / (steps * slope.dt);
     const double expected = standard_gravity * (std::sin(theta) - friction * std::cos(theta));
     const double error = acceleration / expected - 1;
 
@@ -131,7 +131,7 @@ TEST_CASE("A block slides down a steeper slope at g (sin theta - mu cos theta), 
     const double slip_work = slope.slip_work - before.slip_work;
     const double work_error = slip_work / friction_work - 1;
 
-    const double fallen = slope.block.mass[0] * slope.gravity.dot(slope.position - before.position);
+    const double fallen = slope.block.mass(0) * slope.gravity.dot(slope.position - before.position);
     const double lost = slip_work + slope.dashpot_work - before.dashpot_work;
     const double missing = (fallen - (slope.energy() - before.energy()) - lost) / fallen;
     INFO("tan theta / mu " << share << ": acceleration " << acceleration << " m/s2, expected " << expected << ", error "

@@ -1,8 +1,8 @@
 #include <catch2/catch.hpp>
 
 #include "common/random.hpp"
-#include "dem_server/generation.hpp"
 #include "dem_server/timestep.hpp"
+#include "tests/dem_server/cubes.hpp"
 #include "tests/dem_server/free_grains.hpp"
 
 using namespace lockstep;
@@ -14,7 +14,7 @@ ContactView wall_contact(const Particles& p, std::int32_t body, const Vec3& norm
   ContactView c;
   c.body_a = body;
   c.normal = normal;
-  c.point = p.position[body] + p.equivalent_radius[body] * normal;
+  c.point = p.position(body) + p.equivalent_radius(body) * normal;
   c.normal_stiffness = k_n;
   c.shear_stiffness = k_s;
   return c;
@@ -35,14 +35,14 @@ StiffnessSum assembled(FreeGrains& world) {
   StiffnessSum sum;
   sum.reset(world.particles.body_count());
   world.contacts.for_each_branch(
-      [&](const ContactView& c, const Vec3& branch) { sum.add(c, world.particles, branch); });
+      world.particles, [&](const ContactView& c, const Vec3& branch) { sum.add(c, world.particles, branch); });
   return sum;
 }
 
 double power_step(FreeGrains& world, int products) {
   std::vector<ContactView> contacts;
   Vec3s branches;
-  world.contacts.for_each_branch([&](const ContactView& c, const Vec3& branch) {
+  world.contacts.for_each_branch(world.particles, [&](const ContactView& c, const Vec3& branch) {
     contacts.push_back(c);
     branches.push_back(branch);
   });
@@ -53,14 +53,16 @@ double power_step(FreeGrains& world, int products) {
 double growth(double r, double dt, int steps) {
   FreeGrains world = lattice(4, r);
   Random random(3);
-  for (Vec3& v : world.particles.velocity)
-    v = 1e-6 * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
-  double start = 0;
-  for (const Vec3& v : world.particles.velocity) start += v.squaredNorm();
+  const auto square_speeds = [&] {
+    double sum = 0;
+    for (std::size_t b = 0; b < world.particles.body_count(); ++b) sum += world.particles.velocity(b).squaredNorm();
+    return sum;
+  };
+  for (std::size_t b = 0; b < world.particles.body_count(); ++b)
+    world.particles.velocity(b) = 1e-6 * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+  const double start = square_speeds();
   for (int k = 0; k < steps; ++k) world.step(dt);
-  double end = 0;
-  for (const Vec3& v : world.particles.velocity) end += v.squaredNorm();
-  return end / start;
+  return square_speeds() / start;
 }
 
 }  // namespace
@@ -73,7 +75,7 @@ TEST_CASE("one sphere on one spring: the exact limit, at most 6 % below it") {
     StiffnessSum sum;
     sum.reset(1);
     sum.add(wall_contact(p, 0, Vec3(0, 0, -1), k_n, k_s), p);
-    const double exact = 2 / std::sqrt(std::max(k_n, 3.5 * k_s) / p.mass[0]);
+    const double exact = 2 / std::sqrt(std::max(k_n, 3.5 * k_s) / p.mass(0));
     std::int32_t worst = -1;
     const double bound = sum.stable_step(0, &worst);
     CAPTURE(k_s, bound / exact);
@@ -111,7 +113,7 @@ TEST_CASE("the bound and the estimate stand right of the exact limit of a cubic 
   //   translation 5 k_n/m, rotation 5 k_n/m: the limit is 2/sqrt(5 k_n/m).
   const double r = 0.03;
   FreeGrains world = lattice(4, r);
-  const double mass = world.particles.mass[0], k_n = 94e6 * 2 * r;
+  const double mass = world.particles.mass(0), k_n = 94e6 * 2 * r;
   const double exact = 2 / std::sqrt(5 * k_n / mass);
   const double bound = assembled(world).stable_step(0);
   const double estimate = power_step(world, 200) / power_margin;
@@ -133,7 +135,7 @@ TEST_CASE("a chain of spheres: the estimate meets omega = 2 sqrt(k/m), the bound
   FreeGrains world(0.003, Vec3(8 * 2 * r * (1 - 1e-4), 1, 1));
   for (int k = 0; k < 8; ++k) world.sphere(Vec3((2 * k + 1) * r * (1 - 1e-4), 0.5, 0.5), r);
   world.material.stiffness_ratio = 1e6;
-  const double exact = std::sqrt(world.particles.mass[0] / (94e6 * 2 * r));
+  const double exact = std::sqrt(world.particles.mass(0) / (94e6 * 2 * r));
   const double bound = assembled(world).stable_step(0), estimate = power_step(world, 200) / power_margin;
   CAPTURE(bound / exact, estimate / exact);
   CHECK(bound <= exact * (1 + 1e-12));
@@ -145,16 +147,14 @@ TEST_CASE("in a dense packing of clumps the bound is safe and the estimate close
   CubeRequest request;
   request.grains = 150;
   request.porosity = 0.44;
-  const Cube cube = make_cube(request);
+  const Cube cube = first_cube(request);
   FreeGrains world(0.0015, cube.period);
   world.particles = cube.particles;
-  for (std::size_t b = 0; b < world.particles.body_count(); ++b)
-    world.particles.scale(static_cast<std::int32_t>(b), 1.001);
+  world.particles.scale_all(1.001);
   std::int32_t worst = -1;
   const double bound = assembled(world).stable_step(0, &worst);
   const double truth = power_step(world, 3000) / power_margin, estimate = power_step(world, power_products);
-  const double smallest = *std::min_element(world.particles.mass.begin(), world.particles.mass.end());
-  const double t0 = std::sqrt(smallest / (94e6 * 2 * 0.024));
+  const double t0 = std::sqrt(world.particles.lightest() / (94e6 * 2 * 0.024));
   CAPTURE(bound / truth, estimate / truth, truth / t0, worst);
   CHECK(bound < truth);
   CHECK(bound > 0.5 * truth);

@@ -23,6 +23,13 @@ Particles spheres_at(const Vec3s& centers) {
   return p;
 }
 
+// Of all bodies [N].
+Vec3s forces_on(const Particles& p) {
+  Vec3s forces;
+  for (std::size_t b = 0; b < p.body_count(); ++b) forces.push_back(p.force(b));
+  return forces;
+}
+
 GrainMaterial grain() {
   GrainMaterial m;
   m.contact_modulus = 94e6;
@@ -35,9 +42,9 @@ double k_n() { return grain().contact_modulus * 2 * R; }
 // Leap-frog without gravity, orientation of no interest for spheres.
 void move(Particles& p, double dt) {
   for (std::size_t b = 0; b < p.body_count(); ++b) {
-    p.velocity[b] += p.force[b] / p.mass[b] * dt;
-    p.spin[b] += p.torque[b] / p.inertia[b].x() * dt;
-    p.position[b] += p.velocity[b] * dt;
+    p.velocity(b) += p.force(b) / p.mass(b) * dt;
+    p.spin(b) += p.torque(b) / p.inertia(b).x() * dt;
+    p.position(b) += p.velocity(b) * dt;
   }
   p.place_pebbles();
 }
@@ -59,10 +66,10 @@ TEST_CASE("A sphere pressed on a plane is pushed back by k_n U, and the plane by
   Planes planes = floor_plane();
   const WallTotals totals = planes.compute(p, grain(), 1e-5);
   const double expected = k_n() * overlap;
-  INFO("force " << p.force[0].transpose() << " N, expected z " << expected);
+  INFO("force " << p.force(0).transpose() << " N, expected z " << expected);
   CHECK(totals.contacts == 1);
-  CHECK(p.force[0].z() == Approx(expected).epsilon(1e-11));
-  CHECK((p.force[0] + totals.force).norm() == 0);
+  CHECK(p.force(0).z() == Approx(expected).epsilon(1e-11));
+  CHECK((p.force(0) + totals.force).norm() == 0);
   CHECK(totals.elastic_energy == Approx(0.5 * k_n() * overlap * overlap).epsilon(1e-11));
   CHECK(totals.max_overlap == Approx(overlap / R).epsilon(1e-11));
   planes.for_each_contact([&](const ContactView& view) {
@@ -77,21 +84,21 @@ TEST_CASE("A sphere that slides on a plane ends up rolling at 5/7 of its speed")
   // v0. The spring acts at x_C, U/2 above the plane, and rolls on R - U/2: corrections of order U/R = 1e-6.
   const double v0 = 1.0, overlap = 1e-6 * R, dt = 1e-5;
   Particles p = spheres_at({{0, 0, R - overlap}});
-  p.velocity[0] = {v0, 0, 0};
+  p.velocity(0) = Vec3(v0, 0, 0);
   Planes planes = floor_plane(0.5);
   const double weight = k_n() * overlap;
   double slip_work = 0;
-  for (int step = 0; step < 400000 && !(step > 1000 && p.velocity[0].x() - R * p.spin[0].y() < 0); ++step) {
+  for (int step = 0; step < 400000 && !(step > 1000 && p.velocity(0).x() - R * p.spin(0).y() < 0); ++step) {
     p.clear_forces();
     const WallTotals totals = planes.compute(p, grain(), dt);
     slip_work += totals.slip_work;
-    p.force[0].z() -= weight;  // stays in vertical balance
+    p.force(0).z() -= weight;  // stays in vertical balance
     move(p, dt);
   }
-  const double lost = 0.5 * p.mass[0] * v0 * v0 * 2 / 7;  // 1 - (5/7)^2 - 0.4 (5/7)^2 = 2/7
-  INFO("rolling speed " << p.velocity[0].x() << ", 5/7 = " << 5.0 / 7 << "; slip work " << slip_work << " J, lost "
+  const double lost = 0.5 * p.mass(0) * v0 * v0 * 2 / 7;  // 1 - (5/7)^2 - 0.4 (5/7)^2 = 2/7
+  INFO("rolling speed " << p.velocity(0).x() << ", 5/7 = " << 5.0 / 7 << "; slip work " << slip_work << " J, lost "
                         << lost);
-  CHECK(p.velocity[0].x() == Approx(5.0 / 7 * v0).epsilon(1e-3));
+  CHECK(p.velocity(0).x() == Approx(5.0 / 7 * v0).epsilon(1e-3));
   CHECK(slip_work == Approx(lost).epsilon(1e-2));
 }
 
@@ -99,8 +106,8 @@ TEST_CASE("A frictionless bounce on a plane gives the speed back") {
   // The leap-frog conserves a discrete energy exactly for a linear spring; the incoming and outgoing speeds differ only
   // by where the first and last step fall: of order (w dt)^2.
   Particles p = spheres_at({{0, 0, R + 1e-5}});
-  const double omega = std::sqrt(k_n() / p.mass[0]), dt = 0.01 / omega;
-  p.velocity[0] = {0.3, 0, -1};
+  const double omega = std::sqrt(k_n() / p.mass(0)), dt = 0.01 / omega;
+  p.velocity(0) = Vec3(0.3, 0, -1);
   Planes planes = floor_plane();
   double touched = 0;
   for (int step = 0; step < 1000; ++step) {
@@ -108,9 +115,9 @@ TEST_CASE("A frictionless bounce on a plane gives the speed back") {
     touched += static_cast<double>(planes.compute(p, grain(), dt).contacts);
     move(p, dt);
   }
-  INFO("v_z after " << p.velocity[0].z() << " m/s; contact lasted " << touched * dt * omega / pi << " half periods");
-  CHECK(p.velocity[0].z() == Approx(1).epsilon(1e-4));
-  CHECK(p.velocity[0].x() == 0.3);
+  INFO("v_z after " << p.velocity(0).z() << " m/s; contact lasted " << touched * dt * omega / pi << " half periods");
+  CHECK(p.velocity(0).z() == Approx(1).epsilon(1e-4));
+  CHECK(p.velocity(0).x() == 0.3);
   CHECK(touched * dt * omega == Approx(pi).epsilon(0.01));
 }
 
@@ -120,8 +127,8 @@ TEST_CASE("A dashpot lets a sphere bounce off a plane at the restitution it stan
   GrainMaterial material = grain();
   material.damping_ratio = damping_ratio(restitution);
   Particles p = spheres_at({{0, 0, R + 1e-5}});
-  const double dt = 0.002 / std::sqrt(k_n() / p.mass[0]);
-  p.velocity[0] = {0, 0, -1};
+  const double dt = 0.002 / std::sqrt(k_n() / p.mass(0));
+  p.velocity(0) = Vec3(0, 0, -1);
   Planes planes = floor_plane();
   double dashpot_work = 0;
   for (int step = 0; step < 5000; ++step) {
@@ -129,10 +136,10 @@ TEST_CASE("A dashpot lets a sphere bounce off a plane at the restitution it stan
     dashpot_work += planes.compute(p, material, dt).dashpot_work;
     move(p, dt);
   }
-  const double lost = 0.5 * p.mass[0] * (1 - p.velocity[0].z() * p.velocity[0].z());
-  INFO("restitution " << p.velocity[0].z() << "; dashpot " << dashpot_work << " J of " << lost << " J lost");
-  CHECK(p.velocity[0].z() == Approx(restitution).epsilon(0.02));
-  CHECK(p.velocity[0].z() < 0.9);
+  const double lost = 0.5 * p.mass(0) * (1 - p.velocity(0).z() * p.velocity(0).z());
+  INFO("restitution " << p.velocity(0).z() << "; dashpot " << dashpot_work << " J of " << lost << " J lost");
+  CHECK(p.velocity(0).z() == Approx(restitution).epsilon(0.02));
+  CHECK(p.velocity(0).z() < 0.9);
   CHECK(dashpot_work == Approx(lost).epsilon(0.05));
 }
 
@@ -140,15 +147,15 @@ TEST_CASE("A moving plane's power is the power its grains receive") {
   Particles p = spheres_at({{0, 0, R - 2e-4}, {0.1, 0, R - 1e-4}});
   Planes planes({{Vec3::Zero(), Vec3::UnitZ(), Vec3(0.1, 0, 0.2)}}, 0.5);
   const WallTotals totals = planes.compute(p, grain(), 1e-4);
-  const double expected = (p.force[0] + p.force[1]).dot(Vec3(0.1, 0, 0.2));
+  const double expected = (p.force(0) + p.force(1)).dot(Vec3(0.1, 0, 0.2));
   CAPTURE(totals.power, expected);
   CHECK(totals.power == Approx(expected).epsilon(1e-14));
-  CHECK(p.force[0].x() > 0);  // dragged along
+  CHECK(p.force(0).x() > 0);  // dragged along
 }
 
 TEST_CASE("Two planes that meet press a sphere from both sides, and each has its own totals and spring") {
   Particles p = spheres_at({{R - 1e-4, 0, R - 2e-4}});
-  p.velocity[0] = {0, 1, 0};
+  p.velocity(0) = Vec3(0, 1, 0);
   Planes planes({{Vec3::Zero(), Vec3::UnitZ(), Vec3::Zero()}, {Vec3::Zero(), Vec3::UnitX(), Vec3::Zero()}}, 10);
   planes.compute(p, grain(), 1e-5);
   p.clear_forces();
@@ -158,7 +165,7 @@ TEST_CASE("Two planes that meet press a sphere from both sides, and each has its
   CHECK(planes.totals()[1].force.x() == Approx(-k_n() * 1e-4));
   // Two steps of 1e-5 m at k_s = k_n/8 on each plane.
   const double shear = k_n() / 8 * 2e-5;
-  CAPTURE(p.force[0].y(), shear);
+  CAPTURE(p.force(0).y(), shear);
   CHECK(planes.totals()[0].force.y() == Approx(shear).epsilon(1e-12));
   CHECK(planes.totals()[1].force.y() == Approx(shear).epsilon(1e-12));
 }
@@ -226,15 +233,15 @@ TEST_CASE("A shaft that moves down drags grains down and is pushed up itself") {
   pile.set_velocity(v);
   const PileTotals totals = pile.compute(p, grain(), dt);
   const double drag = k_n() / 8 * v * dt;  // the spring of one step, down
-  CAPTURE(p.force[0].z(), totals.shaft_force.z(), drag);
+  CAPTURE(p.force(0).z(), totals.shaft_force.z(), drag);
   CHECK(totals.shaft.contacts == 1);
   CHECK(totals.tip.contacts == 0);
-  CHECK(p.force[0].z() == Approx(drag).epsilon(1e-12));
-  CHECK(p.force[0].z() < 0);
+  CHECK(p.force(0).z() == Approx(drag).epsilon(1e-12));
+  CHECK(p.force(0).z() < 0);
   CHECK(totals.shaft_force.z() > 0);
-  CHECK(p.force[0].x() == Approx(k_n() * overlap).epsilon(1e-10));
+  CHECK(p.force(0).x() == Approx(k_n() * overlap).epsilon(1e-10));
   CHECK(totals.shaft.power > 0);  // the pile does work on the grain
-  CHECK(totals.shaft.power == Approx(p.force[0].z() * v).epsilon(1e-12));
+  CHECK(totals.shaft.power == Approx(p.force(0).z() * v).epsilon(1e-12));
 
   pile.set_friction(0);
   pile.clear_history();
@@ -257,7 +264,7 @@ TEST_CASE("Grains below the tip push it up; the rim counts for the tip") {
   CHECK(pile.tip_area() == Approx(pi * a * a));
   CHECK(totals.tip_stiffness == Approx(2 * k_n()));
   CHECK(totals.one_contact_stiffness == Approx(k_n()));
-  const Vec3 sum = p.force[0] + p.force[1] + p.force[2] + totals.all().force;
+  const Vec3 sum = p.force(0) + p.force(1) + p.force(2) + totals.all().force;
   INFO("sum of forces on grains and pile " << sum.norm() << " N");
   CHECK(sum.norm() <= 1e-15 * 3 * f);
 }
@@ -273,13 +280,13 @@ TEST_CASE("A grain that rolls from the face over the rim to the shaft feels no j
   for (int i = 0; i <= steps; ++i) {
     const double s = i * (0.02 + d * pi / 2) / steps - 0.01;  // length along the path, 0 below the rim
     const double angle = std::clamp(s / d, 0.0, pi / 2);
-    p.position[0] =
+    p.position(0) =
         Vec3(a + d * std::sin(angle) + std::min(0.0, s), 0, -d * std::cos(angle) + std::max(0.0, s - d * pi / 2));
     p.place_pebbles();
     p.clear_forces();
     REQUIRE(pile.compute(p, grain(), 0).all().contacts == 1);
-    if (i > 0) worst = std::max(worst, (p.force[0] - last).norm() / (k_n() * overlap));
-    last = p.force[0];
+    if (i > 0) worst = std::max(worst, (p.force(0) - last).norm() / (k_n() * overlap));
+    last = p.force(0);
   }
   const double turn = (0.02 + d * pi / 2) / steps / d;
   CAPTURE(worst, turn);
@@ -290,19 +297,19 @@ TEST_CASE("The pile's spring follows a grain over the rim") {
   // Stuck to the pile (friction without end) and moved along y: the spring lies along y on face and rim alike.
   const double overlap = 1e-4, d = R - overlap, a = 0.125, v = 0.01, dt = 1e-4;
   Particles p = spheres_at({{a, 0, -d}});
-  p.velocity[0] = {0, v, 0};
+  p.velocity(0) = Vec3(0, v, 0);
   Pile pile(PileShape{}, 0, 1e9);
   for (int i = 0; i < 20; ++i) {
     const double angle = 0.02 * (i - 10);
-    p.position[0] =
+    p.position(0) =
         Vec3(a + d * std::max(0.0, std::sin(angle)) - 0.001 * (i < 10), 0, -d * (angle > 0 ? std::cos(angle) : 1.0));
     p.place_pebbles();
     p.clear_forces();
     pile.compute(p, grain(), dt);
   }
   const double expected = -20 * v * dt * k_n() / 8;
-  CAPTURE(p.force[0].y(), expected);
-  CHECK(p.force[0].y() == Approx(expected).epsilon(1e-9));
+  CAPTURE(p.force(0).y(), expected);
+  CHECK(p.force(0).y() == Approx(expected).epsilon(1e-9));
 }
 
 TEST_CASE("What a moving pile does in work is what its grain has in energy") {
@@ -310,24 +317,24 @@ TEST_CASE("What a moving pile does in work is what its grain has in energy") {
   // error is of order (w dt)^2. When they part the sphere flies at twice the pile's speed.
   Particles p = spheres_at({{0.02, 0.01, -R - 1e-6}});
   Pile pile(PileShape{}, 0, 0);
-  const double v = -0.5, omega = std::sqrt(k_n() / p.mass[0]), dt = 0.005 / omega;
+  const double v = -0.5, omega = std::sqrt(k_n() / p.mass(0)), dt = 0.005 / omega;
   pile.set_velocity(v);
   double work = 0, worst = 0;
   for (int step = 0; step < 1000; ++step) {
     p.clear_forces();
     const PileTotals totals = pile.compute(p, grain(), dt);
-    const double mid_speed = p.velocity[0].z() + 0.5 * p.force[0].z() / p.mass[0] * dt;
+    const double mid_speed = p.velocity(0).z() + 0.5 * p.force(0).z() / p.mass(0) * dt;
     const double half_work = 0.5 * totals.tip.power * dt;  // up to t_n
-    const double energy = 0.5 * p.mass[0] * mid_speed * mid_speed + totals.tip.elastic_energy;
+    const double energy = 0.5 * p.mass(0) * mid_speed * mid_speed + totals.tip.elastic_energy;
     worst = std::max(worst, std::abs(work + half_work - energy));
     work += totals.tip.power * dt;
     move(p, dt);
     pile.advance(dt);
   }
-  const double whole = 0.5 * p.mass[0] * 4 * v * v;
-  INFO("worst |work - energy| / work " << worst / whole << ", final speed / 2 v " << p.velocity[0].z() / (2 * v));
+  const double whole = 0.5 * p.mass(0) * 4 * v * v;
+  INFO("worst |work - energy| / work " << worst / whole << ", final speed / 2 v " << p.velocity(0).z() / (2 * v));
   CHECK(worst < 1e-3 * whole);
-  CHECK(p.velocity[0].z() == Approx(2 * v).epsilon(1e-4));
+  CHECK(p.velocity(0).z() == Approx(2 * v).epsilon(1e-4));
 }
 
 TEST_CASE("Grains that sleep do not change the answer") {
@@ -347,7 +354,7 @@ TEST_CASE("Grains that sleep do not change the answer") {
   std::size_t contacts = 0;
   for (int step = 0; step < 100; ++step) {
     for (std::size_t b = 0; b < p.body_count(); ++b)
-      p.position[b] += random.uniform() * random.uniform() * 0.01 *
+      p.position(b) += random.uniform() * random.uniform() * 0.01 *
                        Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
     p.place_pebbles();
     p.clear_forces();
@@ -358,8 +365,8 @@ TEST_CASE("Grains that sleep do not change the answer") {
     fresh_planes.compute(q, grain(), 1e-4);
     fresh_pile.compute(q, grain(), 1e-4);
     Hash with, without;
-    planes.hash(with), pile.hash(with), with.add(std::span<const Vec3>(p.force));
-    fresh_planes.hash(without), fresh_pile.hash(without), without.add(std::span<const Vec3>(q.force));
+    planes.hash(with), pile.hash(with), with.add(std::span<const Vec3>(forces_on(p)));
+    fresh_planes.hash(without), fresh_pile.hash(without), without.add(std::span<const Vec3>(forces_on(q)));
     REQUIRE(with.value() == without.value());
     for (auto* w : {&planes, &fresh_planes}) w->advance(1e-3);
     for (auto* w : {&pile, &fresh_pile}) w->advance(1e-3);

@@ -1,0 +1,38 @@
+// The records that kernels work on. Plain data and no includes but integers, since kernels are compiled for several
+// instruction sets: an inline function of a library, compiled once for a newer machine, could be the one that an older
+// machine is given at link time.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+namespace lockstep::dem {
+
+struct alignas(32) SphereRecord {
+  double x, y, z, radius;  // [m]
+};
+
+struct alignas(64) MotionRecord {
+  double vx, vy, vz;  // t_{n-1/2} [m/s]
+  double radius;      // R_eq again: differences of records give that of the radii for nothing [m]
+  double wx, wy, wz;  // world frame, t_{n-1/2} [rad/s]
+  double mass;        // [kg]
+};
+
+struct alignas(64) LoadRecord {
+  double fx, fy, fz, unused_f;  // [N]
+  double tx, ty, tz, unused_t;  // about the centre of mass, world frame [N m]
+};
+
+struct alignas(64) AttitudeRecord {
+  double qx, qy, qz, qw;        // body frame -> world, t_n
+  double i1, i2, i3, is_clump;  // principal moments [kg m2]; 1 for a clump, 0 for a sphere among clumps
+};
+
+// How much of what a step adds up to is wanted.
+enum class Detail {
+  Forces,  // nothing
+  Works,   // what can only be summed step by step
+  All
+};
+
+}  // namespace lockstep::dem

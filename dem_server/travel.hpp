@@ -1,0 +1,30 @@
+// How far pebbles may move before candidate lists are made anew, and which bodies belong to which thread.
+#pragma once
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "dem_server/records.hpp"
+
+namespace lockstep::dem {
+
+// PairContacts renews its lists before any pebble has moved farther than its limit from its mark. Walls, pile and facets
+// make their own candidate lists when `renewal` has changed: until it changes again, pebble p stays within limit(p) of
+// mark p, and its radius grows by no more than `growth_limit`.
+struct TravelLimits {
+  std::uint64_t renewal = 0;  // counts up with each renewal
+  const SphereRecord* marks =
+      nullptr;              // per pebble: centre at the renewal, and in `radius` the limit [m]; null: unknown
+  double growth_limit = 0;  // [m]
+  double limit(std::size_t p) const {
+    return marks ? marks[p].radius + growth_limit : std::numeric_limits<double>::infinity();
+  }
+};
+
+// Bodies of thread t: body_begin[t] .. body_begin[t+1]-1. Which bodies go to which thread decides speed alone.
+struct Partition {
+  std::vector<std::int32_t> body_begin;
+  int size() const { return static_cast<int>(body_begin.size()) - 1; }
+};
+
+}  // namespace lockstep::dem
