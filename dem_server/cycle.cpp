@@ -36,8 +36,11 @@ void pair_contacts(Model& m) {
 
 void wall_contacts(Model& m) {
   const auto timing = m.profile.measure(Phase::WallContacts);
-  m.plane_totals = m.planes.compute(m.particles, m.material, m.last_time_step);
-  if (m.pile) m.pile_totals = m.pile->compute(m.particles, m.material, m.last_time_step);
+  m.wall_totals =
+      m.walls.compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team, m.contacts.partition());
+  if (m.pile)
+    m.pile_totals =
+        m.pile->compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team, m.contacts.partition());
 }
 
 void move(Model& m) {
@@ -45,6 +48,7 @@ void move(Model& m) {
   m.motion = integrate(m.particles, m.gravity, m.last_time_step, m.time_step, m.damping,
                        {m.is_fixed.empty() ? nullptr : &m.is_fixed, m.team.get(), &m.contacts.partition(),
                         m.contacts.instructions(), m.detail, fastest_travel});
+  m.walls.advance(m.time_step);
   if (m.pile) m.pile->advance(m.time_step);
 }
 
@@ -117,7 +121,7 @@ StepLimit stable_step(const Model& m, double damping) {
   const auto add = [&](const ContactView& contact) { stiffness.add(contact, m.particles); };
   m.contacts.for_each_contact(m.particles, add);
   m.facets.for_each_contact(add);
-  m.planes.for_each_contact(add);
+  m.walls.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);
 
   StepLimit limit;
@@ -131,7 +135,7 @@ std::uint64_t Model::hash() const {
   particles.hash(h);
   contacts.hash(h);
   facets.hash(h);
-  planes.hash(h);
+  walls.hash(h);
   if (pile) pile->hash(h);
   return h.value();
 }

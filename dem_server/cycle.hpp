@@ -37,7 +37,7 @@ struct Model {
   FacetMaterial facet_material;
   PairContacts contacts;
   InterfaceFacets facets;
-  Planes planes;
+  Walls walls;
   std::optional<Pile> pile;
 
   Detail detail = Detail::All;  // of the totals of the next step
@@ -50,7 +50,7 @@ struct Model {
 
   ContactTotals pair_totals;
   FacetTotals facet_totals;
-  WallTotals plane_totals;
+  WallTotals wall_totals;
   PileTotals pile_totals;
   MotionTotals motion;
   Ledger ledger;

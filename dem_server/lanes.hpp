@@ -54,6 +54,18 @@ LOCKSTEP_INLINE Lanes square_root(Lanes x) {
 #endif
 }
 
+LOCKSTEP_INLINE bool any(Mask m) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi64_mask((__m512i)m, (__m512i)m) != 0;
+#elif defined(__AVX2__)
+  return !_mm256_testz_si256((__m256i)m, (__m256i)m);
+#else
+  long long all = 0;
+  for (int l = 0; l < width; ++l) all |= m[l];
+  return all != 0;
+#endif
+}
+
 // ---- vectors in space, lane by lane
 
 struct Lanes3 {

@@ -15,13 +15,13 @@ void Ledger::book(const Model& m) {
 
 void Ledger::book_energy(const Model& m) {
   now_.kinetic = m.motion.kinetic_energy();
-  now_.elastic = m.pair_totals.elastic_energy() + m.facet_totals.elastic_energy + m.plane_totals.elastic_energy;
+  now_.elastic = m.pair_totals.elastic_energy() + m.facet_totals.elastic_energy + m.wall_totals.elastic_energy;
   // Works of step n are centred on t_n: half of each belongs to the interval before it and half to the one after.
   const double gravity = m.motion.gravity_work;
   const double damped = m.motion.damped_work;
-  double boundary = m.plane_totals.power * m.last_time_step;
-  double friction = m.pair_totals.slip_work + m.facet_totals.slip_work + m.plane_totals.slip_work;
-  double dashpots = m.pair_totals.dashpot_work + m.facet_totals.dashpot_work + m.plane_totals.dashpot_work;
+  double boundary = 0;
+  double friction = m.pair_totals.slip_work + m.facet_totals.slip_work + m.wall_totals.slip_work;
+  double dashpots = m.pair_totals.dashpot_work + m.facet_totals.dashpot_work + m.wall_totals.dashpot_work;
   if (m.pile) {
     const WallTotals pile = m.pile_totals.all();
     now_.elastic += pile.elastic_energy;
@@ -40,11 +40,11 @@ void Ledger::book_energy(const Model& m) {
       interface -= 0.5 * (last_nodal_force_[j] + force[j]).dot(velocity[j]) * m.last_time_step;
     now_.gravity_work += 0.5 * (last_gravity_ + gravity);
     now_.damped += 0.5 * (last_damped_ + damped);
-    now_.boundary_work += 0.5 * (last_boundary_ + boundary);
+    now_.boundary_work += 0.5 * (last_boundary_ + boundary) + m.wall_totals.work;
     now_.interface_work += interface;
     now_.friction += friction;
     now_.dashpots += dashpots;
-    work_done_ += std::abs(0.5 * (last_gravity_ + gravity)) + std::abs(0.5 * (last_boundary_ + boundary)) +
+    work_done_ += std::abs(0.5 * (last_gravity_ + gravity)) + std::abs(0.5 * (last_boundary_ + boundary)) + std::abs(m.wall_totals.work) +
                   std::abs(interface) + friction + dashpots + 0.5 * (last_damped_ + damped);
   }
   last_gravity_ = gravity;
@@ -67,7 +67,7 @@ void Ledger::book_momentum(const Model& m) {
   const double weight = m.motion.moving_mass * m.gravity.z();
   const double interval = 0.5 * (m.last_time_step + m.time_step);
   const double inertia = interval > 0 ? m.motion.momentum_change.z() / interval : 0.0;
-  double walls = -m.plane_totals.force.z();
+  double walls = -m.wall_totals.force.z();
   if (m.pile) walls -= m.pile_totals.tip_force.z() + m.pile_totals.shaft_force.z();
   imbalance_ = walls + weight + reaction.z() + m.motion.damping_force.z() - inertia;
   worst_imbalance_ = std::max(worst_imbalance_, std::abs(imbalance_));

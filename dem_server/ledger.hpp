@@ -2,7 +2,7 @@
 //
 // Energy at t_n, with leap-frog's own kinetic energy 1/2 m v(n-1/2).v(n+1/2), for which the work of a force over the
 // interval from n-1 to n is 1/2 (F(n-1) + F(n)).(x(n) - x(n-1)):
-//   kinetic + elastic = start + work of gravity, pile, planes and interface - damped - slid - dashpots
+//   kinetic + elastic = start + work of gravity, pile, walls and interface - damped - slid - dashpots
 // What does not balance is `residual`. The interface's work from n-1 to n is booked at n, one exchange late, since the
 // velocities v(n-1/2) arrive then.
 //
@@ -19,7 +19,7 @@ struct GrainEnergies {  // [J]
   double kinetic = 0;
   double elastic = 0;
   double gravity_work = 0;
-  double boundary_work = 0;  // pile and planes
+  double boundary_work = 0;  // pile and walls
   double interface_work = 0;
   double damped = 0;
   double friction = 0;
@@ -39,7 +39,7 @@ class Ledger {
     return work_done_;
   }  // sum of |work| of gravity, boundary and interface, and of what was lost [J]
   double residual_fraction() const { return work_done_ > 0 ? residual_ / work_done_ : 0.0; }
-  // Vertical balance of the last step: pile + planes + weight + interface + damping - inertia [N], and the largest so
+  // Vertical balance of the last step: pile + walls + weight + interface + damping - inertia [N], and the largest so
   // far over the largest of its terms so far [-]. Scenes with held bodies have no such balance: zero.
   double vertical_imbalance() const { return imbalance_; }
   double worst_vertical_imbalance() const { return largest_term_ > 0 ? worst_imbalance_ / largest_term_ : 0.0; }

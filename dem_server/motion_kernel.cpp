@@ -62,12 +62,6 @@ LOCKSTEP_INLINE void turn_about_axis(Lanes angle, Lanes& w, Lanes& v_i, Lanes& v
   p_j = cosine * pj0 - sine * pi0;
 }
 
-LOCKSTEP_INLINE bool any(Mask m) {
-  long long all = 0;
-  for (int l = 0; l < width; ++l) all |= m[l];
-  return all != 0;
-}
-
 // Torque-free turn for `dt` with the angular momentum held; `p` is it in body axes, before and after, and `mobility`
 // has 1/I. The turn about the momentum leaves p as it is. Quaternions are composed without regard to their lengths, and
 // the product is made unit.

@@ -112,7 +112,7 @@ ContactSurvey survey(const Model& m) {
   m.contacts.for_each_contact(m.particles, add);
   seen.grain_pairs = seen.contacts.size();
   m.facets.for_each_contact(add);
-  m.planes.for_each_contact(add);
+  m.walls.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);
   return seen;
 }

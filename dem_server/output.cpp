@@ -56,7 +56,7 @@ void append_split(std::vector<double>& row, const Model& m) {
   ElasticEnergies e{m.pair_totals.normal_energy, m.pair_totals.shear_energy};
   const auto add = [&](const ContactView& c) { e.add(c); };
   m.facets.for_each_contact(add);
-  m.planes.for_each_contact(add);
+  m.walls.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);
   for (const double energy : {kinetic - turning, turning, e.normal, e.shear}) row.push_back(energy);
 }
@@ -64,7 +64,7 @@ void append_split(std::vector<double>& row, const Model& m) {
 }  // namespace
 
 Output::Output(const Settings& settings, std::filesystem::path folder)
-    : folder_(std::move(folder)), interval_(settings.history_interval) {
+    : folder_(std::move(folder)), interval_(settings.history_interval), wall_history_(settings.walls, folder_) {
   if (folder_.empty()) return;
   splits_energies_ = settings.measure.energy_by_kind;
   history_ = std::make_unique<History>(folder_ / "dem_history.csv", history_columns(splits_energies_));
@@ -80,7 +80,9 @@ void Output::record(const Model& m, double s_over_d, double ratio) {
     shaft_sum_ += m.pile_totals.shaft_force.z();
   }
   interface_sum_ += m.facet_totals.particle_force;
+  wall_history_.record(m.walls);
   if (++samples_ < interval_) return;
+  wall_history_.write_row(m.walls, m.step, m.time);
   const double n = samples_;
   const double tip = tip_sum_ / n;
   tip_resistance_ = m.pile ? tip / m.pile->tip_area() : 0.0;
@@ -164,7 +166,7 @@ void write_contacts(const std::filesystem::path& path, const Model& m) {
   };
   m.contacts.for_each_contact(m.particles, add(0, m.material.friction));
   m.facets.for_each_contact(add(1, m.facet_material.friction));
-  m.planes.for_each_contact(add(2, m.planes.friction()));
+  m.walls.for_each_contact(add(2, m.walls.friction()));
   if (m.pile) m.pile->for_each_contact(add(3, m.pile->friction()));
   write_vtp_lines(path, begin, end, {normal_force, shear_force, mobilised, family});
 }
@@ -195,8 +197,8 @@ void Output::summary(const Json& summary) {
 double unbalanced_ratio(const Model& m) {
   if (m.particles.body_count() == 0) return 0;
   std::size_t contacts =
-      static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts + m.plane_totals.contacts;
-  double force = m.pair_totals.normal_force + m.facet_totals.normal_force + m.plane_totals.normal_force;
+      static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts + m.wall_totals.contacts;
+  double force = m.pair_totals.normal_force + m.facet_totals.normal_force + m.wall_totals.normal_force;
   if (m.pile) {
     contacts += m.pile_totals.tip.contacts + m.pile_totals.shaft.contacts;
     force += m.pile_totals.tip.normal_force + m.pile_totals.shaft.normal_force;

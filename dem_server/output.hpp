@@ -1,5 +1,6 @@
 // What dem_server leaves in the run's folder:
 //   dem_history.csv                        one row every output.history_interval steps, forces averaged over them
+//   wall_history.csv                       the same rows for the walls of `wall` blocks
 //   particles_NNNN.vtp, contacts_NNNN.vtp  snapshots, with particles.pvd and contacts.pvd over time
 //   dem_summary.json                       stages, guarantees, shares of time
 // What the block `measure` adds to these stands in observers.hpp.
@@ -12,6 +13,7 @@
 #include "dem_server/cycle.hpp"
 #include "dem_server/observers.hpp"
 #include "dem_server/settings.hpp"
+#include "dem_server/wall_history.hpp"
 
 namespace lockstep::dem {
 
@@ -35,6 +37,7 @@ class Output {
   std::filesystem::path folder_;
   std::uint32_t interval_;
   std::unique_ptr<History> history_;
+  WallHistory wall_history_;
   std::unique_ptr<Observers> observers_;  // none unless the scene asks
   bool splits_energies_ = false;
   std::optional<Series> particle_series_, contact_series_;

@@ -164,9 +164,12 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
         const Lanes3 spring = turned + (shear_stiffness * law.time_step) * shear_velocity;
         const Lanes limit = law.friction * normal_force;
         const Lanes length_square = dot(spring, spring);
-        const Mask slides = length_square > limit * limit;
-        const Lanes kept = select(slides, limit / square_root(larger(length_square, least)), one);
-        const Lanes3 cut = select(now.touches, kept, zero) * spring;
+        const Mask slides = now.touches & (length_square > limit * limit);
+        // In a packing at rest few contacts slide: a guess that none of these does keeps root and quotient off the path
+        // from velocities to loads.
+        Lanes kept = select(now.touches, one, zero);
+        if (any(slides)) kept = select(slides, limit / square_root(larger(length_square, least)), kept);
+        const Lanes3 cut = kept * spring;
         force = force + cut;
         store(springs.x + begin, cut.x);
         store(springs.y + begin, cut.y);
@@ -174,7 +177,7 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
         if constexpr (has_works) {
           // Slip: what the cut takes from the spring, over k_s, at the mean of the forces before and after.
           const Lanes slip = half * (one - kept) * dot(turned + cut, spring) / larger(shear_stiffness, least);
-          sum.slip_work.add(begin, select(now.touches & slides, slip, zero));
+          sum.slip_work.add(begin, select(slides, slip, zero));
         }
         if constexpr (is_measured) sum.shear_energy.add(begin, half * dot(cut, cut) / larger(shear_stiffness, least));
       }

@@ -19,6 +19,12 @@ double Container::depth_inside(const Vec3& p) const {
   return std::min(side, p.z() - bottom);
 }
 
+std::vector<WallSettings> Settings::all_walls() const {
+  std::vector<WallSettings> all = walls;
+  for (const PlaneSettings& plane : planes) all.push_back(plane_wall(plane));
+  return all;
+}
+
 namespace {
 
 Vec3 to_vector(const scene::Point& p) { return {p.x(), p.y(), p.z()}; }
@@ -129,6 +135,78 @@ MeasureSettings measure_of(const SceneFile& file) {
   return to;
 }
 
+PlaneShape plane_of(const scene::Plane& from, const std::string& where) {
+  PlaneShape plane{to_vector(from.point()), to_vector(from.normal())};
+  check(plane, where);
+  return plane;
+}
+
+Side side_of(scene::GrainsSide side) { return side == scene::INSIDE ? Side::Inside : Side::Outside; }
+
+// A cylinder with a length is a frustum of two equal radii.
+WallShape cylinder_of(const scene::Cylinder& from, const std::string& where) {
+  const Vec3 point = to_vector(from.point()), axis = to_vector(from.axis());
+  if (from.length() > 0) {
+    FrustumShape tube{point, axis, from.radius(), from.radius(), from.length(), side_of(from.side())};
+    check(tube, where + "cylinder.");
+    return tube;
+  }
+  CylinderShape cylinder{point, axis, from.radius(), side_of(from.side())};
+  check(cylinder, where);
+  return cylinder;
+}
+
+WallShape cone_of(const scene::Cone& from, const std::string& where) {
+  FrustumShape cone{to_vector(from.point()), to_vector(from.axis()), from.begin_radius(),
+                    from.end_radius(),       from.length(),          side_of(from.side())};
+  check(cone, where + "cone.");
+  return cone;
+}
+
+WallShape mesh_of(const scene::Mesh& from, const SceneFile& file) {
+  const std::filesystem::path path = from.file();
+  const std::filesystem::path folder = std::filesystem::is_directory(file.path) ? file.path : file.path.parent_path();
+  return MeshShape{std::make_shared<const TriangleMesh>(
+                       read_stl(path.is_absolute() ? path : folder / path, from.scale(), to_vector(from.shift()))),
+                   Vec3::Zero()};
+}
+
+WallSettings wall_of(const SceneFile& file, int index) {
+  const scene::Wall& from = file.scene.wall(index);
+  const std::string key = fmt::format("wall[{}]", index);
+  const std::string where = file.where(key) + ".";
+  WallSettings wall;
+  wall.name = from.name().empty() ? fmt::format("wall {}", index + 1) : from.name();
+  switch (from.shape_case()) {
+    case scene::Wall::kPlane:
+      wall.shape = plane_of(from.plane(), where);
+      break;
+    case scene::Wall::kCylinder:
+      wall.shape = cylinder_of(from.cylinder(), where);
+      break;
+    case scene::Wall::kCone:
+      wall.shape = cone_of(from.cone(), where);
+      break;
+    case scene::Wall::kMesh:
+      wall.shape = mesh_of(from.mesh(), file);
+      break;
+    case scene::Wall::SHAPE_NOT_SET:
+      throw InputError(
+          fmt::format("{}: the wall has no shape; give one of plane, cylinder, cone and mesh", file.where(key)));
+  }
+  wall.velocity = to_vector(from.velocity());
+  wall.spin = to_vector(from.spin());
+  if (from.has_spin_center()) wall.center = to_vector(from.spin_center());
+  if (from.has_friction()) wall.friction = from.friction();
+  if (from.has_servo()) {
+    const scene::WallServo& servo = from.servo();
+    wall.servo = WallServoSettings{servo.pressure(), servo.area(), servo.top_speed(), servo.closing(),
+                                   to_vector(servo.direction())};
+    check_servo(wall.shape, *wall.servo, where);
+  }
+  return wall;
+}
+
 }  // namespace
 
 Settings make_settings(const SceneFile& file) {
@@ -172,6 +250,7 @@ Settings make_settings(const SceneFile& file) {
   for (const scene::Grain& g : grains.grain())
     s.grains.push_back({to_vector(g.center()), to_vector(g.velocity()), to_vector(g.spin()), g.radius(), g.is_clump()});
   if (scene.has_pile()) s.pile = pile_of(file);
+  for (int i = 0; i < scene.wall_size(); ++i) s.walls.push_back(wall_of(file, i));
   for (const scene::Plane& p : scene.plane()) {
     const Vec3 normal = to_vector(p.normal());
     if (normal.norm() == 0)

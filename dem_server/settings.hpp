@@ -126,7 +126,9 @@ struct Settings {
   std::optional<LatticeSettings> lattice;
   std::vector<GrainSettings> grains;
   std::optional<PileSettings> pile;
-  std::vector<PlaneSettings> planes;
+  std::vector<PlaneSettings> planes;  // of `plane` blocks, and the sides of a box
+  std::vector<WallSettings> walls;    // of `wall` blocks, each with a name; meshes are read already
+  std::vector<WallSettings> all_walls() const;  // walls, then planes
 
   BalanceSettings balance;
   double apply_damping = 0;

@@ -185,11 +185,11 @@ double GrainsRun::target_vertical_pressure(double z) const {
   return -p.back().vertical;
 }
 
-// Friction between grains, and that of interface, planes and pile as a share of the scene's.
+// Friction between grains, and that of interface, walls and pile as a share of the scene's.
 void GrainsRun::set_friction(double grain, double share) {
   model_->material.friction = grain;
   model_->facet_material.friction = share * settings_.interface_friction;
-  model_->planes.set_friction(share * settings_.wall_friction);
+  model_->walls.set_friction_share(share);
   if (model_->pile) model_->pile->set_friction(share * settings_.pile->friction);
 }
 
@@ -211,7 +211,8 @@ void GrainsRun::balance() {
   m.facet_material = {settings_.material.contact_modulus, settings_.material.stiffness_ratio,
                       settings_.interface_friction, settings_.material.damping_ratio, settings_.facet_stiffness_factor};
   m.facets = InterfaceFacets(initial_.nodes, initial_.facets, collar);
-  m.planes = Planes(settings_.planes, settings_.wall_friction);
+  m.walls = Walls(settings_.all_walls(), settings_.wall_friction);
+  m.walls.set_moving(false, false);
   if (settings_.pile) m.pile.emplace(settings_.pile->shape, -settings_.pile->embedment, settings_.pile->friction);
   spdlog::info(
       "packing: {} grains with {} pebbles, mean radius {:.4g} m, solid density {:.0f} kg/m3, porosity of the cube "
@@ -234,6 +235,7 @@ void GrainsRun::balance() {
   }
   m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
   if (m.pile) m.pile->set_velocity(0);
+  m.walls.set_moving(false, false);
   evaluate_forces(m);
   tell_balance(servo, begin);
 }
@@ -324,7 +326,7 @@ void GrainsRun::relax() {
         m.particles.spin(b) *= relax_speed / speed;
     }
     largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap,
-                        m.pile_totals.all().max_overlap, m.plane_totals.max_overlap});
+                        m.pile_totals.all().max_overlap, m.wall_totals.max_overlap});
     if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
   }
   m.gravity = {0, 0, -settings_.gravity};
@@ -340,9 +342,12 @@ void GrainsRun::grow() {
   m.damping = settings_.balance.damping;
   m.gravity.setZero();
   set_friction(assembly_.preparation_friction, 0);
-  std::vector<PlaneSettings> with_lid = settings_.planes;
-  with_lid.push_back({{0, 0, settings_.packing->container.top + assembly_.mean_radius}, -Vec3::UnitZ(), Vec3::Zero()});
-  m.planes = Planes(with_lid);
+  std::vector<WallSettings> with_lid = settings_.all_walls();
+  with_lid.push_back(
+      plane_wall({{0, 0, settings_.packing->container.top + assembly_.mean_radius}, -Vec3::UnitZ(), Vec3::Zero()}));
+  m.walls = Walls(with_lid, settings_.wall_friction);
+  m.walls.set_moving(false, false);
+  m.walls.set_friction_share(0);
   double area = 0;
   for (std::size_t f = 0; f < m.facets.facet_count(); ++f) area += m.facets.area_vector(f).norm();
   double growth = 1, pressure = 0, reached = 0;
@@ -363,7 +368,8 @@ void GrainsRun::grow() {
       session_.heartbeat("growing the packing into its gaps", 0.3 + 0.1 * std::min(1.0, pressure / grown_pressure));
   }
   refit(assembly_, settings_, initial_.bulk_density, m.particles);
-  m.planes = Planes(settings_.planes, settings_.wall_friction);
+  m.walls = Walls(settings_.all_walls(), settings_.wall_friction);
+  m.walls.set_moving(false, false);
   m.gravity = {0, 0, -settings_.gravity};
   spdlog::info(
       "grown by {:.2f} % to {:.1f} kPa and let down to {:.1f} kPa in {} cycles: mean radius {:.4g} m, overall porosity "
@@ -381,6 +387,7 @@ void GrainsRun::settle(Servo& servo) {
   set_friction(settings_.material.friction, 0);
   m.contacts.clear_history();
   servo.is_active = false;
+  m.walls.set_moving(false, true);
   const auto begin = Clock::now();
   double ratio = 1;
   std::uint32_t n = 0;
@@ -397,7 +404,8 @@ void GrainsRun::settle(Servo& servo) {
     const bool has_servo_done = !b.servo || (servo.is_active && servo.fastest() < b.servo_tolerance &&
                                              servo.worst_movable_mismatch(b.traction_tolerance) < 1 &&
                                              bottom_balance(servo).mismatch(b.traction_tolerance) < 1);
-    is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done;
+    is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done &&
+                  m.walls.worst_servo_error() < b.traction_tolerance;
     const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
     session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
     stage_fraction_ = 0.3 + 0.7 * fraction;
@@ -550,6 +558,7 @@ void GrainsRun::begin_apply() {
   stage_begin_ = Clock::now();
   Model& m = *model_;
   m.damping = settings_.has_apply ? settings_.apply_damping : settings_.run_damping;
+  m.walls.set_moving(false, true);
   set_friction(settings_.material.friction, 1);
   m.time = 0;
   m.step = 0;
@@ -570,6 +579,7 @@ void GrainsRun::begin_penetration() {
   stage_ = protocol::Stage::Penetrate;
   stage_begin_ = Clock::now();
   m.damping = settings_.run_damping;
+  m.walls.set_moving(true, true);
   if (m.pile) pile_start_ = m.pile->tip_z();
   penetration_begin_ = m.time;
   next_snapshot_ = 0;
@@ -656,7 +666,7 @@ void GrainsRun::watch() {
     if (!(m.particles.position(b).norm() < farthest * reach_))
       throw NumericalError(
           fmt::format("step {}: grain {} has left the scene (now at {:.3g} {:.3g} {:.3g} m): it went through a wall or "
-                      "nothing holds it; close the scene with planes, or lower fidelity.step_fraction (now {})",
+                      "nothing holds it; close the scene with walls, or lower fidelity.step_fraction (now {})",
                       m.step, b, m.particles.position(b).x(), m.particles.position(b).y(), m.particles.position(b).z(),
                       settings_.step_fraction));
   const double overlap = std::max(m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap);
@@ -753,7 +763,7 @@ Json GrainsRun::summary() {
                                 .add("interface contacts", m.profile.seconds(Phase::InterfaceContacts))
                                 .add("contact lists", m.profile.seconds(Phase::Lists))
                                 .add("grain contacts", m.profile.seconds(Phase::PairContacts))
-                                .add("pile and planes", m.profile.seconds(Phase::WallContacts))
+                                .add("pile and walls", m.profile.seconds(Phase::WallContacts))
                                 .add("motion", m.profile.seconds(Phase::Motion))
                                 .add("ledger", m.profile.seconds(Phase::Ledger))
                                 .add("measurements", output_.measuring_seconds()));

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
 #include <utility>
 
 #include "common/checks.hpp"
@@ -11,33 +12,59 @@ namespace lockstep::dem {
 
 namespace {
 
-// A pebble whose gap is more than this times R goes to sleep.
-constexpr double sleeping_gap = 0.2;
+// A contact goes on with the spring of the last step's contact of the same pebble whose normal is the most similar, if
+// their angle's cosine is above this: less than the angle between the two contacts of a right-angled corner.
+constexpr double least_similarity = 0.5;
 
-// A contact of the last step with the same pebble and the same key continues in this one.
-struct Springs {
-  const std::vector<WallContact>& previous;
-  std::size_t next = 0;
+// A spin along an axis through the centre turns a shape about that axis in itself: sine of the angle between them, and
+// distance of the centre from the axis [m], that count as none.
+constexpr double parallel = 1e-12;
+constexpr double on_axis = 1e-9;
 
-  // Called with rising pebbles.
-  template <class IsSame>
-  ContactHistory of(std::int32_t pebble, IsSame&& is_same) {
-    while (next < previous.size() && previous[next].pebble < pebble) ++next;
-    for (std::size_t i = next; i < previous.size() && previous[i].pebble == pebble; ++i)
-      if (is_same(previous[i])) return previous[i].history;
-    return {};
+// Contacts of the last step with one wall, by pebble. A spring is handed on once.
+class Springs {
+ public:
+  Springs(std::span<const WallContact> previous, std::int32_t first_pebble) : previous_(previous) {
+    next_ =
+        static_cast<std::size_t>(std::lower_bound(previous.begin(), previous.end(), first_pebble,
+                                                  [](const WallContact& c, std::int32_t p) { return c.pebble < p; }) -
+                                 previous.begin());
   }
+  // `outward` towards the grain. Called with rising pebbles.
+  ContactHistory of(std::int32_t pebble, const Vec3& outward) {
+    while (next_ < previous_.size() && previous_[next_].pebble < pebble) ++next_, taken_ = 0;
+    double most_similar = least_similarity;
+    std::size_t heir_of = previous_.size();
+    for (std::size_t i = next_; i < previous_.size() && previous_[i].pebble == pebble; ++i) {
+      const double similarity = -previous_[i].history.normal.dot(outward);
+      if (similarity <= most_similar || (i - next_ < mask_bits && taken_ >> (i - next_) & 1)) continue;
+      most_similar = similarity;
+      heir_of = i;
+    }
+    if (heir_of == previous_.size()) return {};
+    if (heir_of - next_ < mask_bits) taken_ |= std::uint64_t{1} << (heir_of - next_);
+    return previous_[heir_of].history;
+  }
+
+ private:
+  static constexpr std::size_t mask_bits = 64;
+  std::span<const WallContact> previous_;
+  std::size_t next_ = 0;
+  std::uint64_t taken_ = 0;  // of the present pebble's contacts
 };
 
-// Presses pebble against a rigid wall: `outward` is the wall's normal, towards the grain.
+// Presses a pebble against a rigid wall: `outward` is the wall's normal, towards the grain; velocity_at(x) that of the
+// wall's material point at x.
+template <class VelocityAt>
 WallContact press(Particles& particles, std::int32_t pebble, std::int32_t part, const Vec3& outward, double overlap,
-                  const Vec3& wall_velocity, const GrainMaterial& material, double friction, double dt,
-                  const ContactHistory& history, WallTotals& totals) {
+                  VelocityAt&& velocity_at, const GrainMaterial& material, double friction, double dt,
+                  const ContactHistory& history) {
   WallContact contact;
   contact.pebble = pebble;
   contact.body = particles.pebble_body(pebble);
   contact.part = part;
   contact.overlap = overlap;
+  contact.overlap_ratio = overlap / particles.pebble_radius(pebble);
   contact.history = history;
 
   const double radius = particles.equivalent_radius(contact.body);
@@ -52,20 +79,16 @@ WallContact press(Particles& particles, std::int32_t pebble, std::int32_t part, 
   const Vec3 normal = -outward;  // from grain to wall
   contact.point =
       particles.pebble_center(pebble) + (particles.pebble_radius(pebble) - 0.5 * overlap) * normal;  // eq. 1
-  const Vec3 approach = wall_velocity - particles.velocity_at(contact.body, contact.point);          // eq. 4
+  const Vec3 wall_velocity = velocity_at(contact.point);
+  const Vec3 approach = wall_velocity - particles.velocity_at(contact.body, contact.point);  // eq. 4
   const ContactResult result = contact_force(law, normal, overlap, approach, dt, contact.history);
   contact.force = result.force_on_a;
+  contact.normal_force = result.normal_force;
+  contact.elastic_energy = contact_energy(law, overlap, contact.history);
+  contact.slip_work = result.slip_work;
+  contact.dashpot_work = result.dashpot_power * dt;
+  contact.power = contact.force.dot(wall_velocity);
   particles.add_force(contact.body, contact.point, contact.force);
-
-  ++totals.contacts;
-  totals.force -= contact.force;
-  totals.normal_force += result.normal_force;
-  totals.stiffness += law.normal_stiffness;
-  totals.elastic_energy += contact_energy(law, overlap, contact.history);
-  totals.slip_work += result.slip_work;
-  totals.dashpot_work += result.dashpot_power * dt;
-  totals.power += contact.force.dot(wall_velocity);
-  totals.max_overlap = std::max(totals.max_overlap, overlap / particles.pebble_radius(pebble));
   return contact;
 }
 
@@ -80,6 +103,18 @@ void add_contacts(Hash& h, const std::vector<WallContact>& contacts) {
 
 }  // namespace
 
+void WallTotals::add(const WallContact& c) {
+  ++contacts;
+  force -= c.force;
+  normal_force += c.normal_force;
+  stiffness += c.normal_stiffness;
+  elastic_energy += c.elastic_energy;
+  slip_work += c.slip_work;
+  dashpot_work += c.dashpot_work;
+  power += c.power;
+  max_overlap = std::max(max_overlap, c.overlap_ratio);
+}
+
 WallTotals& WallTotals::operator+=(const WallTotals& other) {
   contacts += other.contacts;
   force += other.force;
@@ -89,79 +124,452 @@ WallTotals& WallTotals::operator+=(const WallTotals& other) {
   slip_work += other.slip_work;
   dashpot_work += other.dashpot_work;
   power += other.power;
+  work += other.work;
   max_overlap = std::max(max_overlap, other.max_overlap);
   return *this;
 }
 
-// ------------------------------------------------------------------------------------------------------- planes
+// ------------------------------------------------------------------------------------------- shapes, seen by a wall
 
-Planes::Planes(std::vector<PlaneSettings> planes, double friction) : planes_(std::move(planes)), friction_(friction) {
-  for (PlaneSettings& plane : planes_) {
-    if (!(plane.normal.norm() > 0))
-      throw InputError("plane.normal = 0 0 0 has no direction; give the side where the grains are");
-    plane.normal.normalize();
-  }
-  totals_.resize(planes_.size());
+namespace {
+
+Vec3 own_point(const PlaneShape& s) { return s.point; }
+Vec3 own_point(const CylinderShape& s) { return s.point; }
+Vec3 own_point(const FrustumShape& s) { return s.point; }
+Vec3 own_point(const MeshShape&) { return Vec3::Zero(); }
+
+void shift_by(PlaneShape& s, const Vec3& way) { s.point += way; }
+void shift_by(CylinderShape& s, const Vec3& way) { s.point += way; }
+void shift_by(FrustumShape& s, const Vec3& way) { s.point += way; }
+void shift_by(MeshShape& s, const Vec3& way) { s.shift += way; }
+
+void check(MeshShape& shape, const std::string& where) {
+  if (!shape.mesh) throw InputError(fmt::format("{}mesh has no surface; give its file", where));
 }
 
-WallTotals Planes::compute(Particles& particles, const GrainMaterial& material, double dt) {
-  WallTotals all;
-  if (planes_.empty()) return all;
-  std::fill(totals_.begin(), totals_.end(), WallTotals{});
-  std::swap(contacts_, previous_);
-  contacts_.clear();
-  Springs springs{previous_};
-  sleeping_.fit(particles.pebble_count());
+// Whether a spin about the origin turns the shape in itself.
+bool turns_in_itself(const Vec3& axis, const Vec3& point, const Vec3& spin) {
+  return axis.cross(spin).norm() <= parallel * spin.norm() && axis.cross(point).norm() <= on_axis;
+}
+bool turns_in_itself(const PlaneShape& s, const Vec3& spin) {
+  return s.normal.cross(spin).norm() <= parallel * spin.norm();
+}
+bool turns_in_itself(const CylinderShape& s, const Vec3& spin) { return turns_in_itself(s.axis, s.point, spin); }
+bool turns_in_itself(const FrustumShape& s, const Vec3& spin) { return turns_in_itself(s.axis, s.point, spin); }
+bool turns_in_itself(const MeshShape&, const Vec3& spin) { return spin.isZero(0); }
 
-  for (std::size_t p = 0; p < particles.pebble_count(); ++p) {
-    const Vec3& center = particles.pebble_center(p);
-    const double radius = particles.pebble_radius(p);
-    if (sleeping_.sleeps(p, center, radius, travel_)) continue;
-    double gap = std::numeric_limits<double>::infinity();
-    for (std::size_t k = 0; k < planes_.size(); ++k) {
-      const PlaneSettings& plane = planes_[k];
-      const double distance = (center - plane.point).dot(plane.normal);
-      gap = std::min(gap, distance - radius);
-      if (distance >= radius) continue;
-      const auto id = static_cast<std::int32_t>(p);
-      const auto part = static_cast<std::int32_t>(k);
-      const ContactHistory history = springs.of(id, [&](const WallContact& c) { return c.part == part; });
-      contacts_.push_back(press(particles, id, part, plane.normal, radius - distance, plane.velocity, material,
-                                friction_, dt, history, totals_[k]));
-    }
-    if (gap > sleeping_gap * radius)
-      sleeping_.put_to_sleep(p, center, radius, travel_, gap);
-    else
-      sleeping_.keep_awake(p);
+// How fast the surface comes nearer to anything when all of it moves at `velocity` (in the shape's frame) [m/s].
+double closing_speed(const PlaneShape& s, const Vec3& velocity) { return std::abs(velocity.dot(s.normal)); }
+double closing_speed(const CylinderShape& s, const Vec3& velocity) { return velocity.cross(s.axis).norm(); }
+double closing_speed(const FrustumShape&, const Vec3& velocity) { return velocity.norm(); }
+double closing_speed(const MeshShape&, const Vec3& velocity) { return velocity.norm(); }
+
+// Whether the servo moves the radius.
+bool has_servo_radius(const CylinderShape&) { return true; }
+bool has_servo_radius(const FrustumShape& s) { return s.is_cylinder(); }
+template <class Shape>
+bool has_servo_radius(const Shape&) {
+  return false;
+}
+
+// Direction, towards the grains, in which a servo moves the surface at x.
+Vec3 servo_direction(const PlaneShape& s, const WallServoSettings&, const Vec3&) { return s.normal; }
+Vec3 servo_direction(const CylinderShape& s, const WallServoSettings&, const Vec3& x) {
+  const Vec3 radial = radial_direction(s.point, s.axis, x);
+  return s.side == Side::Inside ? Vec3(-radial) : radial;
+}
+Vec3 servo_direction(const FrustumShape& s, const WallServoSettings& servo, const Vec3& x) {
+  if (!s.is_cylinder()) return servo.direction;
+  const Vec3 radial = radial_direction(s.point, s.axis, x);
+  return s.side == Side::Inside ? Vec3(-radial) : radial;
+}
+Vec3 servo_direction(const MeshShape&, const WallServoSettings& servo, const Vec3&) { return servo.direction; }
+
+void grow(CylinderShape& s, double way) { s.radius += s.side == Side::Inside ? -way : way; }
+void grow(FrustumShape& s, double way) {
+  const double change = s.side == Side::Inside ? -way : way;
+  s.begin_radius += change, s.end_radius += change;
+}
+
+template <class... Visitors>
+struct Overloaded : Visitors... {
+  using Visitors::operator()...;
+};
+template <class... Visitors>
+Overloaded(Visitors...) -> Overloaded<Visitors...>;
+
+}  // namespace
+
+void check_servo(const WallShape& shape, WallServoSettings& servo, const std::string& where) {
+  const bool has_direction =
+      std::holds_alternative<PlaneShape>(shape) || std::visit([](const auto& s) { return has_servo_radius(s); }, shape);
+  if (!has_direction) {
+    if (!(servo.direction.norm() > 0))
+      throw InputError(
+          fmt::format("{}servo.direction = 0 0 0 has no direction; a cone or mesh moves along it, towards the grains: "
+                      "give it",
+                      where));
+    servo.direction.normalize();
   }
-  for (const WallTotals& totals : totals_) all += totals;
+  const auto* frustum = std::get_if<FrustumShape>(&shape);
+  const bool has_area = frustum && frustum->is_cylinder();
+  if (!(servo.area > 0) && !has_area)
+    throw InputError(
+        fmt::format("{}servo.area = {} m2 must be positive: only a cylinder with a length has an area of its own; give "
+                    "the area that the pressure acts on",
+                    where, servo.area));
+  if (!(servo.pressure >= 0))
+    throw InputError(fmt::format("{}servo.pressure = {} Pa is out of range; walls press, so it must not be negative",
+                                 where, servo.pressure));
+}
+
+WallSettings plane_wall(const PlaneSettings& plane) {
+  WallSettings wall;
+  wall.shape = PlaneShape{plane.point, plane.normal};
+  wall.velocity = plane.velocity;
+  return wall;
+}
+
+// -------------------------------------------------------------------------------------------------------- walls
+
+Walls::Walls(const std::vector<PlaneSettings>& planes, double friction)
+    : Walls(
+          [&] {
+            std::vector<WallSettings> walls;
+            for (const PlaneSettings& plane : planes) walls.push_back(plane_wall(plane));
+            return walls;
+          }(),
+          friction) {}
+
+Walls::Walls(std::vector<WallSettings> walls, double friction) : common_friction_(friction) {
+  for (WallSettings& from : walls) {
+    Wall wall;
+    wall.name = from.name.empty() ? fmt::format("wall {}", walls_.size() + 1) : from.name;
+    const std::string where = wall.name + ": ";
+    std::visit([&](auto& shape) { check(shape, where); }, from.shape);
+    wall.servo = from.servo;
+    if (wall.servo) check_servo(from.shape, *wall.servo, where);
+    wall.friction = from.friction.value_or(friction);
+    wall.state.center =
+        from.center ? *from.center : std::visit([](const auto& shape) { return own_point(shape); }, from.shape);
+    wall.state.velocity = from.velocity;
+    wall.start = std::move(from.shape);
+    std::visit([&](auto& shape) { shift_by(shape, -wall.state.center); }, wall.start);
+    wall.shape = wall.start;
+    walls_.push_back(std::move(wall));
+    set_spin(walls_.size() - 1, from.spin);
+  }
+  totals_.resize(walls_.size());
+  wall_end_.assign(walls_.size(), 0);
+}
+
+void Walls::set_friction(double friction) {
+  common_friction_ = friction;
+  for (Wall& wall : walls_) wall.friction = friction;
+}
+
+std::vector<PlaneSettings> Walls::planes() const {
+  std::vector<PlaneSettings> planes;
+  for (const Wall& wall : walls_)
+    if (const auto* plane = std::get_if<PlaneShape>(&wall.shape))
+      planes.push_back({wall.state.center + wall.state.attitude * plane->point, wall.state.attitude * plane->normal,
+                        wall.state.velocity});
+  return planes;
+}
+
+void Walls::set_velocity(std::size_t wall, const Vec3& velocity) { walls_[wall].state.velocity = velocity; }
+
+void Walls::set_spin(std::size_t k, const Vec3& spin) {
+  Wall& wall = walls_[k];
+  wall.state.spin = spin;
+  const Vec3 local = wall.state.attitude.conjugate() * spin;
+  wall.turns_in_itself = std::visit([&](const auto& shape) { return turns_in_itself(shape, local); }, wall.shape);
+  wall.candidates.forget();  // its lever may not be known
+}
+
+void Walls::set_moving(bool velocities, bool servos) {
+  velocities_count_ = velocities;
+  servos_count_ = servos;
+  if (!servos)
+    for (Wall& wall : walls_) wall.state.servo_speed = 0;
+}
+
+bool Walls::is_moving(const Wall& wall) const {
+  return !velocity_of(wall).isZero(0) || !spin_of(wall).isZero(0) || (servos_count_ && wall.servo);
+}
+
+void Walls::renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team,
+                             const Partition& partition) {
+  double allowance = 0;
+  for (Wall& wall : walls_) {
+    if (wall.candidates.is_fresh(limits, particles.pebble_count())) continue;
+    if (allowance == 0) {  // not yet looked up
+      allowance = wall_allowance * particles.mean_radius();
+      largest_radius_ = particles.largest_radius();
+    }
+    const WallState& state = wall.state;
+    const Mat3 to_local = state.attitude.toRotationMatrix().transpose();
+    const double allowed = is_moving(wall) ? allowance : 0.0;
+    std::visit(Overloaded{[&](const MeshShape& shape) {
+                            wall.candidates.renew(
+                                particles, limits, allowed, team, partition,
+                                [&](const Vec3& x, double reach, std::vector<std::int32_t>& triangles) {
+                                  const std::size_t before = triangles.size();
+                                  shape.mesh->list_near(to_local * (x - state.center) - shape.shift, reach, triangles);
+                                  return triangles.size() > before;
+                                });
+                          },
+                          [&](const auto& shape) {
+                            wall.candidates.renew(particles, limits, allowed, team, partition,
+                                                  [&](const Vec3& x, double reach, std::vector<std::int32_t>&) {
+                                                    return shape.closest(to_local * (x - state.center)).distance <
+                                                           reach;
+                                                  });
+                          }},
+               wall.shape);
+    if (spin_of(wall).isZero(0) || wall.turns_in_itself) continue;
+    wall.lever = 0;
+    for (std::size_t p = 0; p < particles.pebble_count() && limits.marks; ++p) {
+      const SphereRecord& at = limits.marks[p];
+      wall.lever = std::max(wall.lever, (Vec3(at.x, at.y, at.z) - state.center).norm() + limits.limit(p) + allowance);
+    }
+  }
+}
+
+// The pebbles of one thread against all walls.
+void Walls::press(Particles& particles, const GrainMaterial& material, double dt, const PebbleRange& range,
+                  Part& part) {
+  part.contacts.clear();
+  part.wall_end.clear();
+  for (std::size_t k = 0; k < walls_.size(); ++k) {
+    const Wall& wall = walls_[k];
+    const WallState& state = wall.state;
+    const auto [first, last] = wall.candidates.within(range);
+    if (first == last) {
+      part.wall_end.push_back(part.contacts.size());
+      continue;
+    }
+    const Mat3 turn = state.attitude.toRotationMatrix(), to_local = turn.transpose();
+    const Vec3 velocity = velocity_of(wall), spin = spin_of(wall);
+    const std::size_t old_begin = k > 0 && !previous_end_.empty() ? previous_end_[k - 1] : 0;
+    const std::size_t old_end = previous_end_.empty() ? 0 : previous_end_[k];
+    Springs springs(std::span<const WallContact>(previous_).subspan(old_begin, old_end - old_begin), range.begin);
+
+    std::visit(
+        [&](const auto& shape) {
+          const auto velocity_at = [&](const Vec3& x) -> Vec3 {
+            Vec3 v = velocity + spin.cross(x - state.center);
+            if (state.servo_speed != 0)
+              v += state.servo_speed * (turn * servo_direction(shape, *wall.servo, to_local * (x - state.center)));
+            return v;
+          };
+          const auto push = [&](std::int32_t pebble, const Vec3& local_normal, double overlap) {
+            const Vec3 outward = turn * local_normal;
+            const auto i = static_cast<std::int32_t>(k);
+            part.contacts.push_back(dem::press(particles, pebble, i, outward, overlap, velocity_at, material,
+                                               friction_share_ * wall.friction, dt, springs.of(pebble, outward)));
+          };
+          for (std::size_t i = first; i < last; ++i) {
+            const std::int32_t p = wall.candidates.pebble(i);
+            const double radius = particles.pebble_radius(p);
+            const Vec3 local = to_local * (particles.pebble_center(p) - state.center);
+            if constexpr (std::is_same_v<std::decay_t<decltype(shape)>, MeshShape>) {
+              shape.mesh->touch(local - shape.shift, radius, wall.candidates.extra(i), wall.candidates.extra_count(i),
+                                part.scratch, part.found);
+              for (const MeshContact& found : part.found) push(p, found.normal, found.overlap);
+            } else {
+              const WallPoint at = shape.closest(local);
+              if (at.distance < radius) push(p, at.normal, radius - at.distance);
+            }
+          }
+        },
+        wall.shape);
+    part.wall_end.push_back(part.contacts.size());
+  }
+}
+
+// The threads' contacts, by wall and then by pebble.
+void Walls::gather() {
+  contacts_.clear();
+  if (parts_.size() == 1) {
+    std::swap(contacts_, parts_[0].contacts);
+    wall_end_ = parts_[0].wall_end;
+    return;
+  }
+  for (std::size_t k = 0; k < walls_.size(); ++k) {
+    for (const Part& part : parts_) {
+      const auto begin = static_cast<std::ptrdiff_t>(k > 0 ? part.wall_end[k - 1] : 0);
+      const auto end = static_cast<std::ptrdiff_t>(part.wall_end[k]);
+      contacts_.insert(contacts_.end(), part.contacts.begin() + begin, part.contacts.begin() + end);
+    }
+    wall_end_[k] = contacts_.size();
+  }
+}
+
+void Walls::add_up(std::size_t k, double dt) {
+  Wall& wall = walls_[k];
+  WallState& state = wall.state;
+  WallTotals& totals = totals_[k];
+  totals = WallTotals{};
+  const Mat3 turn = state.attitude.toRotationMatrix(), to_local = turn.transpose();
+  for (std::size_t i = k > 0 ? wall_end_[k - 1] : 0; i < wall_end_[k]; ++i) {
+    const WallContact& c = contacts_[i];
+    totals.add(c);
+    totals.torque -= (c.point - state.center).cross(c.force);
+    if (!wall.servo) continue;
+    const Vec3 direction =
+        std::visit([&](const auto& s) { return servo_direction(s, *wall.servo, to_local * (c.point - state.center)); },
+                   wall.shape);
+    totals.pressing += c.force.dot(turn * direction);
+  }
+  totals.work = 0.5 * dt *
+                ((state.last_force - totals.force).dot(velocity_of(wall)) +
+                 (state.last_torque - totals.torque).dot(spin_of(wall)) +
+                 (state.last_pressing + totals.pressing) * state.servo_speed);
+  state.last_force = -totals.force;
+  state.last_torque = -totals.torque;
+  state.last_pressing = totals.pressing;
+}
+
+WallTotals Walls::compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits,
+                          Team& team, const Partition& partition) {
+  WallTotals all;
+  if (walls_.empty()) return all;
+  renew_candidates(particles, limits, team, partition);
+  one_contact_stiffness_ = material.normal_stiffness(largest_radius_, largest_radius_);
+  std::swap(contacts_, previous_);
+  std::swap(wall_end_, previous_end_);
+  wall_end_.assign(walls_.size(), 0);
+  contacts_.clear();
+  if (candidates() > 0) {
+    parts_.resize(static_cast<std::size_t>(team.size()));
+    team.run([&](int t) {
+      press(particles, material, dt, pebbles_of_thread(particles, partition, team.size(), t),
+            parts_[static_cast<std::size_t>(t)]);
+    });
+    gather();
+  }
+  for (std::size_t k = 0; k < walls_.size(); ++k) {
+    add_up(k, dt);
+    all += totals_[k];
+  }
   return all;
 }
 
-void Planes::advance(double dt) {
-  double fastest = 0;
-  for (PlaneSettings& plane : planes_) {
-    plane.point += plane.velocity * dt;
-    fastest = std::max(fastest, plane.velocity.norm());
-  }
-  travel_ += fastest * std::abs(dt);
+void Walls::apply_servo_way(Wall& wall) {
+  const double way = wall.state.servo_way;
+  wall.shape = wall.start;
+  std::visit(Overloaded{[&](PlaneShape& s) { s.point += way * s.normal; }, [&](CylinderShape& s) { grow(s, way); },
+                        [&](FrustumShape& s) {
+                          if (s.is_cylinder())
+                            grow(s, way);
+                          else
+                            s.point += way * wall.servo->direction;
+                        },
+                        [&](MeshShape& s) { s.shift += way * wall.servo->direction; }},
+             wall.shape);
 }
 
-void Planes::hash(Hash& h) const {
-  for (const PlaneSettings& plane : planes_) h.add(plane.point), h.add(plane.normal), h.add(plane.velocity);
+void Walls::advance(double dt) {
+  for (std::size_t k = 0; k < walls_.size(); ++k) {
+    Wall& wall = walls_[k];
+    WallState& state = wall.state;
+    if (wall.servo && servos_count_ && dt > 0) {
+      const WallServoSettings& servo = *wall.servo;
+      const double stiffness = std::max(totals_[k].stiffness, one_contact_stiffness_);
+      const double missing = servo.pressure * area(k) - totals_[k].pressing;  // [N]
+      state.servo_speed =
+          stiffness > 0 ? std::clamp(servo.closing * missing / (stiffness * dt), -servo.top_speed, servo.top_speed) : 0;
+      state.servo_way += state.servo_speed * dt;
+      apply_servo_way(wall);
+    }
+    const Vec3 velocity = velocity_of(wall), spin = spin_of(wall);
+    state.center += velocity * dt;
+    double way = std::abs(state.servo_speed * dt);
+    if (!wall.turns_in_itself && !spin.isZero(0)) {
+      const double angle = spin.norm() * dt;
+      state.attitude = (Quat(Eigen::AngleAxisd(angle, spin.normalized())) * state.attitude).normalized();
+      way += std::abs(angle) * wall.lever + velocity.norm() * std::abs(dt);
+    } else {
+      const Vec3 local = state.attitude.conjugate() * velocity;
+      way += std::visit([&](const auto& s) { return closing_speed(s, local); }, wall.shape) * std::abs(dt);
+    }
+    wall.candidates.wall_moved(way);
+  }
+}
+
+double Walls::area(std::size_t k) const {
+  const Wall& wall = walls_[k];
+  const double given = wall.servo ? wall.servo->area : 0.0;
+  if (const auto* frustum = std::get_if<FrustumShape>(&wall.shape)) {
+    if (!(given > 0)) return frustum->side_area();
+    return frustum->is_cylinder() ? given * frustum->begin_radius / std::get<FrustumShape>(wall.start).begin_radius
+                                  : given;
+  }
+  if (const auto* cylinder = std::get_if<CylinderShape>(&wall.shape))
+    return given * cylinder->radius / std::get<CylinderShape>(wall.start).radius;
+  return given;
+}
+
+double Walls::pressure(std::size_t k) const { return area(k) > 0 ? totals_[k].pressing / area(k) : 0.0; }
+
+double Walls::worst_servo_error() const {
+  double worst = 0;
+  for (std::size_t k = 0; k < walls_.size(); ++k)
+    if (walls_[k].servo && walls_[k].servo->pressure > 0)
+      worst = std::max(worst, std::abs(pressure(k) / walls_[k].servo->pressure - 1));
+  return worst;
+}
+
+std::size_t Walls::candidates() const {
+  std::size_t sum = 0;
+  for (const Wall& wall : walls_) sum += wall.candidates.size();
+  return sum;
+}
+
+std::uint64_t Walls::renewals() const {
+  std::uint64_t sum = 0;
+  for (const Wall& wall : walls_) sum += wall.candidates.renewals();
+  return sum;
+}
+
+void Walls::hash(Hash& h) const {
+  for (const Wall& wall : walls_) {
+    const WallState& s = wall.state;
+    h.add(s.center), h.add(s.velocity), h.add(s.spin);
+    for (const double q : {s.attitude.x(), s.attitude.y(), s.attitude.z(), s.attitude.w()}) h.add(q);
+    h.add(s.servo_speed), h.add(s.servo_way);
+  }
   add_contacts(h, contacts_);
 }
 
-void Planes::clear_history() {
+void Walls::clear_history() {
   contacts_.clear();
-  sleeping_.wake_all();
+  wall_end_.assign(walls_.size(), 0);
+  for (Wall& wall : walls_) wall.candidates.forget();
 }
 
-void Planes::restore(std::vector<PlaneSettings> planes, std::vector<WallContact> contacts) {
-  planes_ = std::move(planes);
-  totals_.assign(planes_.size(), WallTotals{});
+std::vector<WallState> Walls::states() const {
+  std::vector<WallState> states;
+  for (const Wall& wall : walls_) states.push_back(wall.state);
+  return states;
+}
+
+void Walls::restore(const std::vector<WallState>& states, std::vector<WallContact> contacts) {
+  if (states.size() != walls_.size())
+    throw InputError(fmt::format("the state of {} walls does not fit a scene of {}; give that scene's", states.size(),
+                                 walls_.size()));
   contacts_ = std::move(contacts);
-  sleeping_.wake_all();
+  std::size_t next = 0;
+  for (std::size_t k = 0; k < walls_.size(); ++k) {
+    Wall& wall = walls_[k];
+    wall.state = states[k];
+    apply_servo_way(wall);
+    set_spin(k, wall.state.spin);
+    while (next < contacts_.size() && contacts_[next].part <= static_cast<std::int32_t>(k)) ++next;
+    wall_end_[k] = next;
+    totals_[k] = WallTotals{};
+  }
 }
 
 // --------------------------------------------------------------------------------------------------------- pile
@@ -215,46 +623,53 @@ PilePoint Pile::closest(const Vec3& point) const {
   return {PilePart::Face, off_face, face_normal};
 }
 
-PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, double dt) {
-  PileTotals totals;
+// The pile is one convex body: the spring goes with the pebble from face to rim to shaft. A pebble that is pushed out
+// through another surface than before starts with a new one.
+PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits,
+                         Team& team, const Partition& partition) {
+  if (!candidates_.is_fresh(limits, particles.pebble_count())) {
+    largest_radius_ = particles.largest_radius();
+    const double allowance = velocity_ != 0 ? wall_allowance * particles.mean_radius() : 0.0;
+    candidates_.renew(
+        particles, limits, allowance, team, partition,
+        [&](const Vec3& x, double reach, std::vector<std::int32_t>&) { return closest(x).distance < reach; });
+  }
   std::swap(contacts_, previous_);
   contacts_.clear();
-  Springs springs{previous_};
-  sleeping_.fit(particles.pebble_count());
-  const Vec3 velocity(0, 0, velocity_);
-
-  for (std::size_t p = 0; p < particles.pebble_count(); ++p) {
-    const Vec3& center = particles.pebble_center(p);
-    const double radius = particles.pebble_radius(p);
-    if (sleeping_.sleeps(p, center, radius, travel_)) continue;
-    const PilePoint at = closest(center);
-    const double gap = at.distance - radius;
-    if (gap < 0) {
-      // The pile is one convex body: the spring goes with the pebble from face to rim to shaft. A pebble that is pushed
-      // out through another surface than before starts with a new one.
-      const auto id = static_cast<std::int32_t>(p);
-      const ContactHistory history =
-          springs.of(id, [&](const WallContact& c) { return c.history.normal.dot(at.outward_normal) < 0; });
-      const bool is_shaft = at.part == PilePart::Shaft;
-      contacts_.push_back(press(particles, id, static_cast<std::int32_t>(at.part), at.outward_normal, -gap, velocity,
-                                material, friction_, dt, history, is_shaft ? totals.shaft : totals.tip));
-    }
-    if (gap > sleeping_gap * radius)
-      sleeping_.put_to_sleep(p, center, radius, travel_, gap);
-    else
-      sleeping_.keep_awake(p);
+  if (candidates_.size() > 0) {
+    parts_.resize(static_cast<std::size_t>(team.size()));
+    team.run([&](int t) {
+      std::vector<WallContact>& contacts = parts_[static_cast<std::size_t>(t)];
+      contacts.clear();
+      const PebbleRange range = pebbles_of_thread(particles, partition, team.size(), t);
+      const auto [first, last] = candidates_.within(range);
+      Springs springs(previous_, range.begin);
+      const auto velocity_at = [&](const Vec3&) -> Vec3 { return {0, 0, velocity_}; };
+      for (std::size_t i = first; i < last; ++i) {
+        const std::int32_t p = candidates_.pebble(i);
+        const PilePoint at = closest(particles.pebble_center(p));
+        const double overlap = particles.pebble_radius(p) - at.distance;
+        if (!(overlap > 0)) continue;
+        contacts.push_back(press(particles, p, static_cast<std::int32_t>(at.part), at.outward_normal, overlap,
+                                 velocity_at, material, friction_, dt, springs.of(p, at.outward_normal)));
+      }
+    });
+    for (const auto& part : parts_) contacts_.insert(contacts_.end(), part.begin(), part.end());
   }
+
+  PileTotals totals;
+  for (const WallContact& contact : contacts_)
+    (contact.part == static_cast<std::int32_t>(PilePart::Shaft) ? totals.shaft : totals.tip).add(contact);
   totals.tip_force = totals.tip.force;
   totals.shaft_force = totals.shaft.force;
   totals.tip_stiffness = totals.tip.stiffness;
-  const double largest = particles.largest_radius();
-  totals.one_contact_stiffness = material.normal_stiffness(largest, largest);
+  totals.one_contact_stiffness = material.normal_stiffness(largest_radius_, largest_radius_);
   return totals;
 }
 
 void Pile::advance(double dt) {
   tip_z_ += velocity_ * dt;
-  travel_ += std::abs(velocity_ * dt);
+  candidates_.wall_moved(std::abs(velocity_ * dt));
 }
 
 void Pile::hash(Hash& h) const {
@@ -265,14 +680,14 @@ void Pile::hash(Hash& h) const {
 
 void Pile::clear_history() {
   contacts_.clear();
-  sleeping_.wake_all();
+  candidates_.forget();
 }
 
 void Pile::restore(double tip_z, double velocity, std::vector<WallContact> contacts) {
   tip_z_ = tip_z;
   velocity_ = velocity;
   contacts_ = std::move(contacts);
-  sleeping_.wake_all();
+  candidates_.forget();
 }
 
 }  // namespace lockstep::dem

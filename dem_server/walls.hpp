@@ -1,75 +1,67 @@
-// Rigid walls: planes, and the pile (paper, section 2.3: a rigid wall pushed down at constant velocity).
-//
-// One contact per grain's pebble and wall, since a plane and the pile are convex: A is the grain, B the wall.
-//
-//                 |     |                The pile is a body of revolution about x = y = 0. In the half plane (r, z)
-//           shaft |     | shaft          its surface is one straight piece from the axis to the rim (a flat face, or
-//                 |     |                a cone) and one from the rim upwards without end. A centre outside has its
-//   face -->      +-----+  <-- rim       closest point on either or on their common end, the rim; a centre inside,
-//                  \   /                 which only a deep overlap gives, is pushed out through the nearer piece.
-//             cone  \ /                  Face, cone and rim are the tip.
+// Rigid walls of any shape (wall_shapes.hpp, triangle_mesh.hpp), and the pile (paper, section 2.3: a rigid wall pushed
+// down at constant velocity). A is the grain, B the wall.
 //
 //   k_n = E* 2 R_eq   the wall counts as a grain of the same size    V = v_wall - v_grain at the contact point (eq. 4)
 //   x_C = x_B + (R - U/2) n                                          (eq. 1, n towards the wall)
 //
-// Signs. Forces in totals act ON THE WALL: grains below the tip push it up, tip_force.z() > 0; a shaft that moves down
-// drags grains down and is pushed up itself. Reversing V for the shaft gives a smooth and plausible tip curve, so the
-// tests hold the sign of the shaft's force and the balance of all forces.
+// MOTION. A wall is a rigid body with a centre c: a point x of it moves with v + w x (x - c), and c moves with v. A
+// spin that turns a shape in itself (a drum about its axis, a table about its normal) leaves its geometry untouched, bit
+// for bit. A servo adds a speed s of the surface towards the grains: a plane moves along its normal, a cylinder changes
+// its radius, a cone or a mesh moves along the servo's direction d. With the direction d(x) in which the surface moves,
 //
-// Which pebbles to look at. A pebble whose gap to the nearest wall was g cannot touch before it and the walls have
-// moved towards each other by g, so it sleeps until then and costs one comparison a step. The result does not depend on
-// who sleeps.
+//   pressure  p = sum F_grain . d / A          speed  s = c A (p_target - p) / (K dt),   |s| <= top speed,
+//
+// K the stiffness of the wall's contacts, at least that of one, so that a step closes at most the share c of the error
+// (as the rings' servo does).
+//
+// SIGNS. Forces in totals act ON THE WALL: grains below the pile's tip push it up, tip_force.z() > 0; a shaft that moves
+// down drags grains down and is pushed up itself. Reversing V for the shaft gives a smooth and plausible tip curve, so
+// the tests hold the sign of the shaft's force and the balance of all forces.
+//
+// WORK of a wall on the grains over the step that led to t_n, as leap-frog has it: 1/2 (F(n-1) + F(n)) . v(n-1/2) dt,
+// with moments and servo likewise. For planes it is exact, so the ledger closes however a servo's speed jumps.
+//
+// THREADS. A thread presses the pebbles of its own bodies, walls in order and pebbles in order, and adds the forces to
+// these alone; totals are then added up by one, in order of walls and pebbles. The bits are those of one thread.
 #pragma once
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include "common/hash.hpp"
+#include "common/parallel.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/contact_law.hpp"
 #include "dem_server/particles.hpp"
+#include "dem_server/travel.hpp"
+#include "dem_server/triangle_mesh.hpp"
+#include "dem_server/wall_candidates.hpp"
+#include "dem_server/wall_shapes.hpp"
 
 namespace lockstep::dem {
-
-// Remembers, per pebble, how far it may move before anything has to be looked at.
-class SleepingPebbles {
- public:
-  // Forgets everything, as does a changed number of pebbles.
-  void wake_all() { rest_.clear(); }
-  void fit(std::size_t pebbles) {
-    if (rest_.size() != pebbles) rest_.assign(pebbles, Rest{});
-  }
-  // `travel` is a length that grows at least as fast as any point of the walls moves [m].
-  bool sleeps(std::size_t pebble, const Vec3& center, double radius, double travel) const {
-    const Rest& rest = rest_[pebble];
-    const double slack = rest.reach - radius - travel;
-    return slack > 0 && (center - rest.center).squaredNorm() < slack * slack;
-  }
-  // `gap` is at most the distance from the pebble's surface to the nearest wall [m].
-  void put_to_sleep(std::size_t pebble, const Vec3& center, double radius, double travel, double gap) {
-    rest_[pebble] = {center, gap + radius + travel};
-  }
-  void keep_awake(std::size_t pebble) { rest_[pebble].reach = -1; }
-
- private:
-  struct Rest {
-    Vec3 center = Vec3::Zero();  // [m]
-    double reach = -1;           // gap + radius + travel when it fell asleep; negative: awake [m]
-  };
-  std::vector<Rest> rest_;
-};
 
 // A contact of a pebble with a wall.
 struct WallContact {
   std::int32_t pebble = -1;
   std::int32_t body = -1;
-  std::int32_t part = 0;        // plane's index, or PilePart
+  std::int32_t part = 0;        // wall's index, or PilePart
   Vec3 point = Vec3::Zero();    // middle of the overlap [m]
   double overlap = 0;           // [m]
+  double overlap_ratio = 0;     // over the pebble's radius
   double normal_stiffness = 0;  // [N/m]
   double shear_stiffness = 0;   // [N/m]
   Vec3 force = Vec3::Zero();    // on the grain [N]
+  double normal_force = 0;      // |F_n| [N]
+  double elastic_energy = 0;    // [J]
+  double slip_work = 0;         // taken out by sliding in this step [J]
+  double dashpot_work = 0;      // taken out by the dashpot in this step [J]
+  double power = 0;             // of the wall on the grain [W]
   ContactHistory history;
 
   ContactView view() const {
@@ -80,70 +72,182 @@ struct WallContact {
 // What the contacts with a wall, or with a part of it, add up to in one step.
 struct WallTotals {
   std::size_t contacts = 0;
-  Vec3 force = Vec3::Zero();  // on the wall [N]
-  double normal_force = 0;    // sum of |F_n| [N]
-  double stiffness = 0;       // sum of k_n [N/m]
-  double elastic_energy = 0;  // [J]
-  double slip_work = 0;       // taken out by sliding in this step [J]
-  double dashpot_work = 0;    // taken out by dashpots in this step [J]
-  double power = 0;           // of the wall on the grains, sum of F_grain . v_wall [W]
-  double max_overlap = 0;     // largest U / R of a pebble
+  Vec3 force = Vec3::Zero();   // on the wall [N]
+  Vec3 torque = Vec3::Zero();  // on the wall about its centre [N m]; a sum over walls has none
+  double normal_force = 0;     // sum of |F_n| [N]
+  double pressing = 0;         // sum of F_grain . d along the servo's direction; 0 without a servo [N]
+  double stiffness = 0;        // sum of k_n [N/m]
+  double elastic_energy = 0;   // [J]
+  double slip_work = 0;        // taken out by sliding in this step [J]
+  double dashpot_work = 0;     // taken out by dashpots in this step [J]
+  double power = 0;            // of the wall on the grains, sum of F_grain . v_wall [W]
+  double work = 0;             // of the wall on the grains over the step that led to t_n; not of the pile [J]
+  double max_overlap = 0;      // largest U / R of a pebble
 
+  void add(const WallContact& contact);
   WallTotals& operator+=(const WallTotals& other);
 };
 
-// ------------------------------------------------------------------------------------------------------- planes
+// -------------------------------------------------------------------------------------------------------- walls
 
+struct WallServoSettings {
+  double pressure = 0;            // to hold [Pa]
+  double area = 0;                // that it counts for; 0: the shape's own, which only a finite cylinder has [m2]
+  double top_speed = 0.05;        // [m/s]; too fast a wall hits its grains, too slow a one takes long
+  double closing = 0.2;           // c, share of the error that one step closes; above 1 it chatters
+  Vec3 direction = Vec3::Zero();  // of cones and meshes, towards the grains
+};
+
+struct MeshShape {
+  std::shared_ptr<const TriangleMesh> mesh;
+  Vec3 shift = Vec3::Zero();  // of its corners [m]
+};
+
+using WallShape = std::variant<PlaneShape, CylinderShape, FrustumShape, MeshShape>;
+
+// InputError, in words that begin with `where`, for a servo without what its shape needs. The direction is made unit.
+void check_servo(const WallShape& shape, WallServoSettings& servo, const std::string& where);
+
+struct WallSettings {
+  std::string name;  // in messages and results; empty: "wall K"
+  WallShape shape;
+  Vec3 velocity = Vec3::Zero();    // t_{n-1/2} [m/s]
+  Vec3 spin = Vec3::Zero();        // t_{n-1/2}, world [rad/s]
+  std::optional<Vec3> center;      // of the spin, t_n; else the shape's own point, a mesh's origin [m]
+  std::optional<double> friction;  // else the one that Walls is given
+  std::optional<WallServoSettings> servo;
+};
+
+// A plane that may slide and move, and no more.
 struct PlaneSettings {
   Vec3 point = Vec3::Zero();     // any point of the plane, t_n [m]
   Vec3 normal = Vec3::UnitZ();   // unit, to the side of the grains
   Vec3 velocity = Vec3::Zero();  // t_{n-1/2} [m/s]
 };
 
-class Planes {
- public:
-  Planes() = default;
-  // InputError when a normal has no direction. Normals are made unit.
-  explicit Planes(std::vector<PlaneSettings> planes, double friction = 0);
+WallSettings plane_wall(const PlaneSettings& plane);
 
-  void set_friction(double friction) { friction_ = friction; }  // [-]
-  double friction() const { return friction_; }
-  void set_velocity(std::size_t plane, const Vec3& velocity) { planes_[plane].velocity = velocity; }  // [m/s]
-  const std::vector<PlaneSettings>& planes() const { return planes_; }
-  std::size_t size() const { return planes_.size(); }
+// Where a wall is and how it moves.
+struct WallState {
+  Vec3 center = Vec3::Zero();        // t_n [m]
+  Quat attitude = Quat::Identity();  // start -> t_n
+  Vec3 velocity = Vec3::Zero();      // t_{n-1/2} [m/s]
+  Vec3 spin = Vec3::Zero();          // t_{n-1/2} [rad/s]
+  double servo_speed = 0;            // of the surface towards the grains, t_{n-1/2} [m/s]
+  double servo_way = 0;              // that the servo has moved it, towards the grains [m]
+  Vec3 last_force = Vec3::Zero();    // on the grains at the last step, for its work [N]
+  Vec3 last_torque = Vec3::Zero();   // [N m]
+  double last_pressing = 0;          // [N]
+};
+
+class Walls {
+ public:
+  Walls() = default;
+  // InputError for a shape without a surface, or a servo without what it needs. `friction` is that of walls without
+  // their own.
+  explicit Walls(std::vector<WallSettings> walls, double friction = 0);
+  // Planes alone.
+  explicit Walls(const std::vector<PlaneSettings>& planes, double friction = 0);
+
+  std::size_t size() const { return walls_.size(); }
+  const std::string& name(std::size_t wall) const { return walls_[wall].name; }
+  void set_friction(double friction);  // of all [-]
+  // Of all, as a share of their own: 0 while a packing is made.
+  void set_friction_share(double share) { friction_share_ = share; }
+  double friction(std::size_t wall) const { return friction_share_ * walls_[wall].friction; }  // [-]
+  double friction() const { return friction_share_ * common_friction_; }  // of walls without their own [-]
+  void set_velocity(std::size_t wall, const Vec3& velocity);              // [m/s]
+  void set_spin(std::size_t wall, const Vec3& spin);                      // [rad/s]
+  // False: walls stand still and servos rest, whatever their velocities. Contacts then see no velocity.
+  void set_moving(bool velocities, bool servos);
+  const WallState& state(std::size_t wall) const { return walls_[wall].state; }
+  const Vec3& center(std::size_t wall) const { return walls_[wall].state.center; }  // t_n [m]
+  // Those that are planes, as they stand and move at t_n.
+  std::vector<PlaneSettings> planes() const;
 
   // Contacts at t_n: adds force and torque to the bodies. `dt` is the step over which springs have grown [s]. The
-  // plane's friction replaces the material's.
-  WallTotals compute(Particles& particles, const GrainMaterial& material, double dt);
-  // x += v dt for each plane.
+  // walls' friction replaces the material's.
+  WallTotals compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits = {},
+                     Team& team = Team::alone(), const Partition& partition = {});
+  // Servos choose their speeds from the last compute(), then x += v dt.
   void advance(double dt);
 
-  // Per plane, of the last compute().
+  // Per wall, of the last compute().
   const std::vector<WallTotals>& totals() const { return totals_; }
-  const std::vector<WallContact>& contacts() const { return contacts_; }
+  bool has_servo(std::size_t wall) const { return walls_[wall].servo.has_value(); }
+  double area(std::size_t wall) const;      // that the servo counts for [m2]
+  double pressure(std::size_t wall) const;  // on its servo's area, of the last compute() [Pa]
+  // Largest |p - target| / target over all servos; 0 without servos.
+  double worst_servo_error() const;
+  const std::vector<WallContact>& contacts() const { return contacts_; }  // by wall, then pebble
   template <class Visitor>
   void for_each_contact(Visitor&& visit) const {
     for (const WallContact& contact : contacts_) visit(contact.view());
   }
+  // Pebbles that the last compute() looked at, over all walls, and how often lists were made.
+  std::size_t candidates() const;
+  std::uint64_t renewals() const;
 
   void hash(Hash& h) const;
-  // Forgets the springs; needed after pebbles were renumbered.
+  // Forgets the springs and the lists; needed after pebbles were renumbered.
   void clear_history();
-  // Springs of an earlier run, as contacts() gave them, and planes where they stood: the next compute() carries on from
+  // Springs of an earlier run, as contacts() gave them, and walls where they stood: the next compute() carries on from
   // there.
-  void restore(std::vector<PlaneSettings> planes, std::vector<WallContact> contacts);
+  std::vector<WallState> states() const;
+  void restore(const std::vector<WallState>& states, std::vector<WallContact> contacts);
 
  private:
-  std::vector<PlaneSettings> planes_;
-  double friction_ = 0;  // [-]
-  double travel_ = 0;    // [m]
-  SleepingPebbles sleeping_;
-  std::vector<WallContact> contacts_;  // by pebble, then plane
+  struct Wall {
+    std::string name;
+    WallShape start;  // in coordinates about the centre
+    WallShape shape;  // the same with the servo's way
+    bool turns_in_itself = false;
+    double friction = 0;  // [-]
+    std::optional<WallServoSettings> servo;
+    WallState state;
+    WallCandidates candidates;
+    double lever = 0;  // farthest that a pebble can be from the centre [m]
+  };
+  // What a thread has pressed: contacts of wall k end at wall_end[k].
+  struct Part {
+    std::vector<WallContact> contacts;
+    std::vector<std::size_t> wall_end;
+    TriangleMesh::Scratch scratch;
+    std::vector<MeshContact> found;
+  };
+
+  Vec3 velocity_of(const Wall& wall) const { return velocities_count_ ? wall.state.velocity : Vec3(Vec3::Zero()); }
+  Vec3 spin_of(const Wall& wall) const { return velocities_count_ ? wall.state.spin : Vec3(Vec3::Zero()); }
+  bool is_moving(const Wall& wall) const;
+  void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
+  void press(Particles& particles, const GrainMaterial& material, double dt, const PebbleRange& range, Part& part);
+  void gather();
+  void add_up(std::size_t wall, double dt);
+  void apply_servo_way(Wall& wall);
+
+  std::vector<Wall> walls_;
+  double common_friction_ = 0;
+  double friction_share_ = 1;
+  bool velocities_count_ = true;
+  bool servos_count_ = true;
+  double largest_radius_ = 0;          // of the grains, when lists were last made [m]
+  double one_contact_stiffness_ = 0;   // of the largest grain [N/m]
+  std::vector<WallContact> contacts_;  // by wall, then pebble
+  std::vector<std::size_t> wall_end_;  // of contacts_
   std::vector<WallContact> previous_;
+  std::vector<std::size_t> previous_end_;
   std::vector<WallTotals> totals_;
+  std::vector<Part> parts_;  // one a thread
 };
 
 // --------------------------------------------------------------------------------------------------------- pile
+//
+//                 |     |                The pile is a body of revolution about x = y = 0. In the half plane (r, z)
+//           shaft |     | shaft          its surface is one straight piece from the axis to the rim (a flat face, or
+//                 |     |                a cone) and one from the rim upwards without end. A centre outside has its
+//   face -->      +-----+  <-- rim       closest point on either or on their common end, the rim; a centre inside,
+//                  \   /                 which only a deep overlap gives, is pushed out through the nearer piece.
+//             cone  \ /                  Face, cone and rim are the tip.
 
 enum class PileTip { Flat, Cone };
 
@@ -190,8 +294,9 @@ class Pile {
 
   PilePoint closest(const Vec3& point) const;
 
-  // As for Planes; the pile's friction replaces the material's.
-  PileTotals compute(Particles& particles, const GrainMaterial& material, double dt);
+  // As for Walls; the pile's friction replaces the material's.
+  PileTotals compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits = {},
+                     Team& team = Team::alone(), const Partition& partition = {});
   // tip_z += v dt.
   void advance(double dt);
 
@@ -200,6 +305,8 @@ class Pile {
   void for_each_contact(Visitor&& visit) const {
     for (const WallContact& contact : contacts_) visit(contact.view());
   }
+  std::size_t candidates() const { return candidates_.size(); }  // pebbles that the last compute() looked at
+  std::uint64_t renewals() const { return candidates_.renewals(); }
 
   void hash(Hash& h) const;
   void clear_history();
@@ -210,14 +317,15 @@ class Pile {
   double cone_height_ = 0;  // 0 for a flat tip [m]
   double face_r_ = 1;       // unit vector along the face, from the axis to the rim, in (r, z)
   double face_z_ = 0;
-  double face_length_ = 0;  // [m]
-  double tip_z_ = 0;        // [m]
-  double velocity_ = 0;     // [m/s]
-  double friction_ = 0;     // [-]
-  double travel_ = 0;       // [m]
-  SleepingPebbles sleeping_;
+  double face_length_ = 0;     // [m]
+  double largest_radius_ = 0;  // of the grains, when the list was last made [m]
+  double tip_z_ = 0;           // [m]
+  double velocity_ = 0;        // [m/s]
+  double friction_ = 0;        // [-]
+  WallCandidates candidates_;
   std::vector<WallContact> contacts_;
   std::vector<WallContact> previous_;
+  std::vector<std::vector<WallContact>> parts_;  // one a thread
 };
 
 }  // namespace lockstep::dem

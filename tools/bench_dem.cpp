@@ -117,12 +117,11 @@ std::vector<PlaneSettings> six_planes(const Vec3& low, const Vec3& high) {
 }
 
 // Steps of one length between planes that move by their velocities; whole totals are wanted in every n-th step.
-class Walls : public Boundary {
+class EqualSteps : public Boundary {
  public:
-  Walls(double time_step, int measured_interval, Detail detail)
+  EqualSteps(double time_step, int measured_interval, Detail detail)
       : time_step_(time_step), measured_interval_(measured_interval), detail_(detail) {}
   bool move_facets(Model& model) override {
-    model.planes.advance(model.last_time_step);
     model.time_step = time_step_;
     const bool is_measured = (model.step + 1) % static_cast<std::uint64_t>(measured_interval_) == 0;
     model.detail = is_measured ? Detail::All : detail_;
@@ -188,16 +187,16 @@ class Press {
     Model& m = model_;
     m.particles = std::move(particles_);
     find_walls();
-    m.planes = Planes(six_planes(low_, high_), 0);
+    m.walls = Walls(six_planes(low_, high_), 0);
     m.material = grain_material();
     m.material.friction = packing_friction;
     m.gravity = {0, 0, -gravity};
     m.damping = packing_damping;
     const double smallest = m.particles.smallest_radius();
     const double time_scale = std::sqrt(m.particles.lightest() / m.material.normal_stiffness(smallest, smallest));
-    Walls walls(packing_step * time_scale, settled_interval, Detail::Forces);
+    EqualSteps steps(packing_step * time_scale, settled_interval, Detail::Forces);
     while (true) {
-      cycle(m, walls);
+      cycle(m, steps);
       const double worst = steer();
       if (m.step % settled_interval != 0) continue;
       const double unbalanced = unbalanced_ratio(m.motion.unbalanced_force, m.particles.body_count(),
@@ -227,8 +226,8 @@ class Press {
 
   void read_walls() {
     for (int axis = 0; axis < 3; ++axis) {
-      low_[axis] = model_.planes.planes()[2 * axis].point[axis];
-      high_[axis] = model_.planes.planes()[2 * axis + 1].point[axis];
+      low_[axis] = model_.walls.planes()[2 * axis].point[axis];
+      high_[axis] = model_.walls.planes()[2 * axis + 1].point[axis];
     }
   }
 
@@ -238,13 +237,13 @@ class Press {
     const Vec3 size = high_ - low_;
     double worst = 0;
     for (int axis = 0; axis < 3; ++axis) {
-      const auto& totals = model_.planes.totals();
+      const auto& totals = model_.walls.totals();
       const double area = size.prod() / size[axis];
       const double pressure = (totals[2 * axis].normal_force + totals[2 * axis + 1].normal_force) / (2 * area);
       const double error = 1 - pressure / packing_pressure;
       const double speed = fastest_wall * std::clamp(error / servo_band, -1.0, 1.0);
-      model_.planes.set_velocity(2 * axis, speed * Vec3::Unit(axis));
-      model_.planes.set_velocity(2 * axis + 1, -speed * Vec3::Unit(axis));
+      model_.walls.set_velocity(2 * axis, speed * Vec3::Unit(axis));
+      model_.walls.set_velocity(2 * axis + 1, -speed * Vec3::Unit(axis));
       worst = std::max(worst, std::abs(error));
     }
     return worst;
@@ -255,7 +254,6 @@ class Press {
     Packing packing;
     for (std::size_t b = 0; b < p.body_count(); ++b)
       packing.grains.push_back({p.equivalent_radius(b), p.position(b), p.orientation(b)});
-    model_.planes.advance(model_.last_time_step);
     read_walls();
     packing.low = low_;
     packing.high = high_;
@@ -418,27 +416,27 @@ InstructionSet instructions_of(const Options& o) {
 std::unique_ptr<Model> make_model(const Case& c, const Packing& packing, const Options& o, int threads) {
   auto model = std::make_unique<Model>(list_skin * mean_radius, threads, instructions_of(o));
   model->particles = particles_of(c, packing);
-  model->planes = Planes(six_planes(packing.low, packing.high), friction);
+  model->walls = Walls(six_planes(packing.low, packing.high), friction);
   model->material = grain_material();
   model->material.damping_ratio = o.restitution < 1 ? damping_ratio(o.restitution) : 0;
   if (o.has_gravity) model->gravity = {0, 0, -gravity};
   return model;
 }
 
-void run_steps(Model& model, Walls& walls, int steps) {
-  for (int k = 0; k < steps; ++k) cycle(model, walls);
+void run_steps(Model& model, EqualSteps& boundary, int steps) {
+  for (int k = 0; k < steps; ++k) cycle(model, boundary);
 }
 
 // Springs and lists are there, walls stand.
-void settle(Model& model, Walls& walls, const Options& o) {
+void settle(Model& model, EqualSteps& boundary, const Options& o) {
   model.damping = std::max(settle_damping, o.damping);
-  run_steps(model, walls, settle_steps);
+  run_steps(model, boundary, settle_steps);
   model.damping = o.damping;
 }
 
 void start_straining(Model& model, const Packing& packing, const Options& o) {
   constexpr std::size_t top = 5;  // of six_planes
-  model.planes.set_velocity(top, {0, 0, -o.strain_rate * (packing.high.z() - packing.low.z())});
+  model.walls.set_velocity(top, {0, 0, -o.strain_rate * (packing.high.z() - packing.low.z())});
 }
 
 Result measure(const Case& c, const Packing& packing, const Options& o, int threads) {
@@ -446,10 +444,10 @@ Result measure(const Case& c, const Packing& packing, const Options& o, int thre
   const double memory_before = status_bytes("VmRSS");
   const auto model = make_model(c, packing, o, threads);
   Model& m = *model;
-  Walls walls(time_step_of(o), o.measured_interval, o.has_works ? Detail::Works : Detail::Forces);
-  settle(m, walls, o);
+  EqualSteps boundary(time_step_of(o), o.measured_interval, o.has_works ? Detail::Works : Detail::Forces);
+  settle(m, boundary, o);
   start_straining(m, packing, o);
-  run_steps(m, walls, warm_up_steps);
+  run_steps(m, boundary, warm_up_steps);
 
   Result result;
   const auto before = m.profile;
@@ -457,7 +455,7 @@ Result measure(const Case& c, const Packing& packing, const Options& o, int thre
   double wall_total = 0;
   for (int block = 0; block < o.blocks; ++block) {
     const double processor = processor_seconds(), wall = wall_seconds();
-    run_steps(m, walls, o.steps);
+    run_steps(m, boundary, o.steps);
     const double processor_spent = processor_seconds() - processor, wall_spent = wall_seconds() - wall;
     const double grain_steps = static_cast<double>(o.steps) * c.grains;
     result.per_processor_second.values.push_back(grain_steps / processor_spent);
@@ -483,8 +481,8 @@ Result measure(const Case& c, const Packing& packing, const Options& o, int thre
 void describe(const Case& c, const Packing& packing, const Options& o) {
   const auto model = make_model(c, packing, o, 1);
   Model& m = *model;
-  Walls walls(time_step_of(o), o.measured_interval, o.has_works ? Detail::Works : Detail::Forces);
-  settle(m, walls, o);
+  EqualSteps boundary(time_step_of(o), o.measured_interval, o.has_works ? Detail::Works : Detail::Forces);
+  settle(m, boundary, o);
   const Vec3 size = packing.high - packing.low;
   Coordination coordination(m.particles.body_count());
   double overlaps = 0;
@@ -496,10 +494,10 @@ void describe(const Case& c, const Packing& packing, const Options& o) {
   });
   std::size_t wall_contacts = 0;
   double pressure = 0;
-  for (std::size_t k = 0; k < m.planes.size(); ++k) {
+  for (std::size_t k = 0; k < m.walls.size(); ++k) {
     const double area = size.prod() / size[static_cast<int>(k / 2)];
-    wall_contacts += m.planes.totals()[k].contacts;
-    pressure += m.planes.totals()[k].normal_force / area / static_cast<double>(m.planes.size());
+    wall_contacts += m.walls.totals()[k].contacts;
+    pressure += m.walls.totals()[k].normal_force / area / static_cast<double>(m.walls.size());
   }
   const double grains = c.grains;
   std::printf(

@@ -27,7 +27,7 @@ constexpr double settling_damping = 0.7;
 struct Slope {
   Particles block;
   GrainMaterial material;
-  Planes plane;
+  Walls plane;
   MotionTotals motion;
   WallTotals contacts;
   Vec3 gravity;
