@@ -99,11 +99,11 @@ LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, i
     }
 }
 
-template <bool has_clumps, Detail detail>
-void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
+// `width` bodies from `first` on, in the lanes that begin at `begin`; fewer, `count`, at the end of a stretch.
+template <bool has_clumps, Detail detail, bool is_whole>
+LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::int32_t first, int count, int begin,
+                          Sums& sum, Mask& too_fast) {
   constexpr bool has_works = detail != Detail::Forces;
-  Sums sum;
-  double too_fast = 0;
   // Stands in where a group of eight has fewer bodies.
   SphereRecord no_body = {0, 0, 0, 1};
   MotionRecord no_motion = {0, 0, 0, 1, 0, 0, 0, 0};
@@ -113,105 +113,115 @@ void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
   const Lanes3 none = {zero, zero, zero};
   const double dt = step.mean_step;
   const Lanes fastest_square = lanes(step.fastest * step.fastest);
-  for (std::int32_t group = s.begin; group < s.end; group += block)
-    for (int begin = 0; begin < block; begin += width) {
-      const std::int32_t first = group + begin;
-      const int count = s.end - first < width ? s.end - first : width;
-      if (count <= 0) continue;
-      const auto of = [&](auto* records, auto& nobody, int l) { return l < count ? &records[first + l] : &nobody; };
-      Row rows[width];
-      for (int l = 0; l < width; ++l) rows[l] = row(&of(s.bodies, no_body, l)->x);
-      const Lanes4 place = transpose(rows);
-      for (int l = 0; l < width; ++l) rows[l] = row(&of(s.motion, no_motion, l)->vx);
-      const Lanes4 v = transpose(rows);
-      for (int l = 0; l < width; ++l) rows[l] = row(&of(s.motion, no_motion, l)->wx);
-      const Lanes4 w = transpose(rows);
-      for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->fx);
-      const Lanes4 f = transpose(rows);
-      for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->tx);
-      const Lanes4 t = transpose(rows);
+  const auto of = [&](auto* records, auto& nobody, int l) {
+    return is_whole || l < count ? &records[first + l] : &nobody;
+  };
+  Row rows[width];
+  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.bodies, no_body, l)->x);
+  const Lanes4 place = transpose(rows);
+  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.motion, no_motion, l)->vx);
+  const Lanes4 v = transpose(rows);
+  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.motion, no_motion, l)->wx);
+  const Lanes4 w = transpose(rows);
+  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->fx);
+  const Lanes4 f = transpose(rows);
+  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->tx);
+  const Lanes4 t = transpose(rows);
 
-      Mask moves{};
-      for (int l = 0; l < count; ++l) moves[l] = s.is_fixed && s.is_fixed[first + l] ? 0 : -1;
-      const Lanes mass = select(moves, w.w, zero);
-      const Lanes mobility = select(moves, one / w.w, zero);
+  Mask moves = Mask{} - 1;
+  if (!is_whole)
+    for (int l = count; l < width; ++l) moves[l] = 0;
+  if (s.is_fixed)
+    for (int l = 0; l < count; ++l) moves[l] = s.is_fixed[first + l] ? 0 : -1;
+  const Lanes mass = select(moves, w.w, zero);
+  const Lanes mobility = select(moves, one / w.w, zero);
 
-      // Translation.
-      const Lanes3 before = {v.x, v.y, v.z}, force = {f.x, f.y, f.z};
-      const Lanes3 weight = {mass * step.gravity[0], mass * step.gravity[1], mass * step.gravity[2]};
-      const Lanes3 unbalanced = select(moves, force + weight, none);
-      const Lanes3 force_damping = damping_part(unbalanced, before, step.damping);
-      const Lanes3 after = select(moves, before + (dt * mobility) * (unbalanced + force_damping), none);
-      const Lanes3 position = Lanes3{place.x, place.y, place.z} + lanes(step.next_step) * after;
-      const Lanes3 mean = lanes(0.5) * (before + after);
-      const Lanes square = dot(after, after);
-      sum.square.raise(begin, square);
-      too_fast += any(~(square <= fastest_square * (place.w * place.w)));
-      if constexpr (has_works) {
-        sum.translation.add(begin, 0.5 * mass * dot(before, after));
-        sum.gravity_work.add(begin, dt * dot(weight, mean));
-        sum.unbalanced.add(begin, square_root(dot(unbalanced, unbalanced)));
-        sum.mass.add(begin, mass);
-        add(sum.damping_force, begin, force_damping);
-        add(sum.momentum, begin, mass * after);
-        add(sum.momentum_change, begin, mass * (after - before));
-      }
+  // Translation.
+  const Lanes3 before = {v.x, v.y, v.z}, force = {f.x, f.y, f.z};
+  const Lanes3 weight = {mass * step.gravity[0], mass * step.gravity[1], mass * step.gravity[2]};
+  const Lanes3 unbalanced = select(moves, force + weight, none);
+  const Lanes3 force_damping = damping_part(unbalanced, before, step.damping);
+  const Lanes3 after = select(moves, before + (dt * mobility) * (unbalanced + force_damping), none);
+  const Lanes3 position = Lanes3{place.x, place.y, place.z} + lanes(step.next_step) * after;
+  const Lanes3 mean = lanes(0.5) * (before + after);
+  const Lanes square = dot(after, after);
+  sum.square.raise(begin, square);
+  too_fast |= ~(square <= fastest_square * (place.w * place.w));
+  if constexpr (has_works) {
+    sum.translation.add(begin, 0.5 * mass * dot(before, after));
+    sum.gravity_work.add(begin, dt * dot(weight, mean));
+    sum.unbalanced.add(begin, square_root(dot(unbalanced, unbalanced)));
+    sum.mass.add(begin, mass);
+    add(sum.damping_force, begin, force_damping);
+    add(sum.momentum, begin, mass * after);
+    add(sum.momentum_change, begin, mass * (after - before));
+  }
 
-      // Rotation.
-      const Lanes3 spin = {w.x, w.y, w.z}, pure_torque = select(moves, {t.x, t.y, t.z}, none);
-      const Lanes3 torque_damping = damping_part(pure_torque, spin, step.damping);
-      const Lanes3 torque = pure_torque + torque_damping;
-      const Lanes moment = sphere_moment * mass * place.w * place.w;
-      Lanes3 next_spin = spin + (dt * (mobility / (sphere_moment * place.w * place.w))) * torque;
-      Lanes3 middle = lanes(0.5) * (spin + next_spin);  // mean of the spins before and after, at the attitude of t_n
-      Lanes rotation_energy = 0.5 * moment * dot(spin, next_spin);
-      Rotation rotation;
-      if constexpr (has_clumps) {
-        for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->qx);
-        const Lanes4 q = transpose(rows);
-        for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->i1);
-        const Lanes4 inertia = transpose(rows);
-        const Mask is_clump = inertia.w != zero;
-        // In body axes: spin, momentum p.
-        const Rotation at = rotation_of(q);
-        const Lanes3 own_mobility = {one / inertia.x, one / inertia.y, one / inertia.z};
-        const Lanes3 own_spin = at.to_body(spin), own_torque = at.to_body(torque);
-        Lanes3 p =
-            Lanes3{inertia.x * own_spin.x, inertia.y * own_spin.y, inertia.z * own_spin.z} + lanes(dt) * own_torque;
-        const auto spin_of = [&](const Lanes3& momentum) -> Lanes3 {
-          return {own_mobility.x * momentum.x, own_mobility.y * momentum.y, own_mobility.z * momentum.z};
-        };
-        middle = select(is_clump, at.to_world(lanes(0.5) * (own_spin + spin_of(p))), middle);
-        rotation_energy = select(is_clump, 0.5 * dot(own_spin, p), rotation_energy);
-        const Mask turns = is_clump & moves;
-        const Lanes4 turned = turned_freely(q, p, own_mobility, step.next_step);
-        const Lanes4 attitude = {select(turns, turned.x, q.x), select(turns, turned.y, q.y),
-                                 select(turns, turned.z, q.z), select(turns, turned.w, q.w)};
-        rotation = rotation_of(attitude);
-        next_spin = select(is_clump, rotation.to_world(spin_of(p)), next_spin);
-        transpose(attitude, rows);
-        for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.attitudes[first + l].qx) = rows[l];
-      }
-      next_spin = select(moves, next_spin, none);
-      if constexpr (has_works) {
-        sum.rotation.add(begin, select(moves, rotation_energy, zero));
-        sum.contact_work.add(begin, select(moves, dt * (dot(force, mean) + dot(pure_torque, middle)), zero));
-        sum.damped_work.add(begin, select(moves, -dt * (dot(force_damping, mean) + dot(torque_damping, middle)), zero));
-      }
+  // Rotation.
+  const Lanes3 spin = {w.x, w.y, w.z}, pure_torque = select(moves, {t.x, t.y, t.z}, none);
+  const Lanes3 torque_damping = damping_part(pure_torque, spin, step.damping);
+  const Lanes3 torque = pure_torque + torque_damping;
+  const Lanes moment = sphere_moment * mass * place.w * place.w;
+  Lanes3 next_spin = spin + (dt * (mobility / (sphere_moment * place.w * place.w))) * torque;
+  Lanes3 middle = lanes(0.5) * (spin + next_spin);  // mean of the spins before and after, at the attitude of t_n
+  Lanes rotation_energy = 0.5 * moment * dot(spin, next_spin);
+  Rotation rotation;
+  if constexpr (has_clumps) {
+    for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->qx);
+    const Lanes4 q = transpose(rows);
+    for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->i1);
+    const Lanes4 inertia = transpose(rows);
+    const Mask is_clump = inertia.w != zero;
+    // In body axes: spin, momentum p.
+    const Rotation at = rotation_of(q);
+    const Lanes3 own_mobility = {one / inertia.x, one / inertia.y, one / inertia.z};
+    const Lanes3 own_spin = at.to_body(spin), own_torque = at.to_body(torque);
+    Lanes3 p = Lanes3{inertia.x * own_spin.x, inertia.y * own_spin.y, inertia.z * own_spin.z} + lanes(dt) * own_torque;
+    const auto spin_of = [&](const Lanes3& momentum) -> Lanes3 {
+      return {own_mobility.x * momentum.x, own_mobility.y * momentum.y, own_mobility.z * momentum.z};
+    };
+    middle = select(is_clump, at.to_world(lanes(0.5) * (own_spin + spin_of(p))), middle);
+    rotation_energy = select(is_clump, 0.5 * dot(own_spin, p), rotation_energy);
+    const Mask turns = is_clump & moves;
+    const Lanes4 turned = turned_freely(q, p, own_mobility, step.next_step);
+    const Lanes4 attitude = {select(turns, turned.x, q.x), select(turns, turned.y, q.y), select(turns, turned.z, q.z),
+                             select(turns, turned.w, q.w)};
+    rotation = rotation_of(attitude);
+    next_spin = select(is_clump, rotation.to_world(spin_of(p)), next_spin);
+    transpose(attitude, rows);
+    for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.attitudes[first + l].qx) = rows[l];
+  }
+  next_spin = select(moves, next_spin, none);
+  if constexpr (has_works) {
+    sum.rotation.add(begin, select(moves, rotation_energy, zero));
+    sum.contact_work.add(begin, select(moves, dt * (dot(force, mean) + dot(pure_torque, middle)), zero));
+    sum.damped_work.add(begin, select(moves, -dt * (dot(force_damping, mean) + dot(torque_damping, middle)), zero));
+  }
 
-      transpose({position.x, position.y, position.z, place.w}, rows);
-      for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.bodies[first + l].x) = rows[l];
-      if constexpr (has_clumps) place_pebbles(s, first, count, rows, rotation);
-      Row spin_rows[width];
-      transpose({after.x, after.y, after.z, v.w}, rows);
-      transpose({next_spin.x, next_spin.y, next_spin.z, w.w}, spin_rows);
-      for (int l = 0; l < count; ++l) {
-        *reinterpret_cast<Row*>(&s.motion[first + l].vx) = rows[l];
-        *reinterpret_cast<Row*>(&s.motion[first + l].wx) = spin_rows[l];
-        s.loads[first + l] = LoadRecord{};
-      }
-    }
-  sums.too_fast = too_fast;
+  transpose({position.x, position.y, position.z, place.w}, rows);
+  for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.bodies[first + l].x) = rows[l];
+  if constexpr (has_clumps) place_pebbles(s, first, count, rows, rotation);
+  Row spin_rows[width];
+  transpose({after.x, after.y, after.z, v.w}, rows);
+  transpose({next_spin.x, next_spin.y, next_spin.z, w.w}, spin_rows);
+  for (int l = 0; l < count; ++l) {
+    *reinterpret_cast<Row*>(&s.motion[first + l].vx) = rows[l];
+    *reinterpret_cast<Row*>(&s.motion[first + l].wx) = spin_rows[l];
+    s.loads[first + l] = LoadRecord{};
+  }
+}
+
+template <bool has_clumps, Detail detail>
+void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
+  constexpr bool has_works = detail != Detail::Forces;
+  Sums sum;
+  Mask too_fast{};
+  std::int32_t first = s.begin;
+  int begin = 0;
+  for (; first + width <= s.end; first += width, begin = (begin + width) % block)
+    move<has_clumps, detail, true>(s, step, first, width, begin, sum, too_fast);
+  if (first < s.end) move<has_clumps, detail, false>(s, step, first, s.end - first, begin, sum, too_fast);
+  sums.too_fast = any(too_fast) ? 1 : 0;
   sums.largest_square = sum.square.largest();
   if constexpr (!has_works) return;
   sums.translation_energy = sum.translation.total();

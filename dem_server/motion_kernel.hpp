@@ -28,7 +28,7 @@ struct MotionStep {
 
 // What a stretch adds up to; MotionTotals says what each is.
 struct MotionSums {
-  double too_fast = 0;        // bodies
+  double too_fast = 0;        // 1 if any body is
   double largest_square = 0;  // of the speeds [m2/s2]
   // From Detail::Works on.
   double translation_energy = 0, rotation_energy = 0;
