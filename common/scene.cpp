@@ -369,19 +369,9 @@ void check_cylinder(const SceneFile& file) {
                     brick.zones_around() / 8 * 8 + 8));
 }
 
-void check_pebbles(const SceneFile& file, const std::string& key, std::uint32_t pebbles) {
-  static constexpr std::array<std::uint32_t, 5> shapes = {1, 2, 3, 5, 9};
-  if (std::find(shapes.begin(), shapes.end(), pebbles) == shapes.end())
-    throw InputError(fmt::format("{} = {}: there is no clump of so many pebbles; give one of {}", file.where(key),
-                                 pebbles, fmt::join(shapes, ", ")));
-}
-
 void check_grains(const SceneFile& file) {
   const scene::Scene& s = file.scene;
   const scene::Grains& grains = s.grains();
-  check_pebbles(file, "grains.pebbles", grains.pebbles());
-  if (s.fidelity().pebbles_per_clump() != 0)
-    check_pebbles(file, "fidelity.pebbles_per_clump", s.fidelity().pebbles_per_clump());
   if (grains.arrangement_case() == scene::Grains::ARRANGEMENT_NOT_SET && grains.grain_size() == 0)
     throw InputError(fmt::format(
         "{}: the block holds no grain; give packing {{ }}, lattice {{ }} or grain {{ }} in it, or leave out grains",

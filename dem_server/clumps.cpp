@@ -64,8 +64,8 @@ ClumpTemplate row_of_pebbles(const std::vector<double>& center, const std::vecto
 }
 
 ClumpTemplate make_clump(int pebbles, double elongation) {
-  if (pebbles != 1 && pebbles != 2 && pebbles != 3 && pebbles != 5 && pebbles != 9)
-    throw InputError(fmt::format("grains.pebbles = {}: must be 1, 2, 3, 5 or 9", pebbles));
+  if (pebbles < 1 || pebbles > most_pebbles)
+    throw InputError(fmt::format("grains.pebbles = {}: must lie in [1, {}]", pebbles, most_pebbles));
   if (!(elongation >= 1 && elongation <= 2))
     throw InputError(fmt::format("grains.elongation = {}: must lie in [1, 2]", elongation));
   if (pebbles == 1 || elongation == 1) {

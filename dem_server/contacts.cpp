@@ -92,7 +92,7 @@ double squared_distance(const SphereRecord& a, const SphereRecord& b) {
 }  // namespace
 
 PairContacts::PairContacts(double skin, std::optional<Vec3> period, InstructionSet instructions)
-    : skin_(skin), period_(period), instructions_(instructions) {
+    : first_skin_(skin), skin_(skin), period_(period), instructions_(instructions) {
   LOCKSTEP_ASSERT(skin > 0, "skin {}", skin);
 }
 
@@ -116,9 +116,17 @@ void PairContacts::update(const Particles& particles, Team& team) {
   LOCKSTEP_ASSERT(!has_lists_ || marks_.size() == particles.pebble_count(),
                   "pebbles were added or removed without clear_history");
   const bool is_shared_out = thread_chunk_.size() == static_cast<std::size_t>(team.size()) + 1;
+  ++age_;
   if (has_lists_ && is_shared_out && !has_left(particles, team)) return;
+  if (has_lists_) adapt_skin();
+  age_ = 0;
   if (!has_lists_ || is_outer_used_up(particles)) rebuild_outer(particles, team);
   refresh_inner(particles, team);
+}
+
+void PairContacts::adapt_skin() {
+  if (age_ < short_list_age) skin_ = std::min(skin_step * skin_, skin_range * first_skin_);
+  if (age_ > long_list_age) skin_ = std::max(skin_ / skin_step, first_skin_ / skin_range);
 }
 
 // Whether any pebble has gone beyond its limit, or to no finite place.
@@ -143,7 +151,7 @@ bool PairContacts::has_left(const Particles& particles, Team& team) const {
 // The inner list takes every pair with a gap below the skin, and all partners of fast pebbles: none of them may be
 // missing from the outer list.
 bool PairContacts::is_outer_used_up(const Particles& particles) const {
-  const double limit = 0.5 * (outer_skin_factor - 1) * skin_ - (particles.growth() - outer_growth_);
+  const double limit = 0.5 * (outer_reach_ - skin_) - (particles.growth() - outer_growth_);
   if (limit <= 0) return true;
   const SphereRecord* pebbles = particles.pebbles();
   for (std::size_t p = 0; p < outer_marks_.size(); ++p)
@@ -152,7 +160,8 @@ bool PairContacts::is_outer_used_up(const Particles& particles) const {
 }
 
 void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
-  search_.sort(particles, outer_skin_factor * skin_, period_);
+  outer_reach_ = outer_skin_factor * skin_;
+  search_.sort(particles, outer_reach_, period_);
   const std::size_t chunks = chunk_count(particles);
   outer_.resize(chunks);
   std::atomic<std::size_t> next = 0;
@@ -188,7 +197,7 @@ void PairContacts::refresh_inner(const Particles& particles, Team& team) {
     is_fast_[p] = has_marks && !(squared_distance(record[p], marks_[p]) <= calm * calm);
     const double outer_travel = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
     marks_[p] = record[p];
-    marks_[p].radius = is_fast_[p] ? 0.5 * outer_skin_factor * skin_ - outer_travel : 0.5 * skin_;
+    marks_[p].radius = is_fast_[p] ? 0.5 * outer_reach_ - outer_travel : 0.5 * skin_;
   }
   growth_ = particles.growth();
 

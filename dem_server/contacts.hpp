@@ -18,7 +18,8 @@
 // not in the inner list has a gap of at least s, so h = s/2 is safe for both. A pebble that has used up s/2 while all
 // others have hardly moved, a rattler flying in its cage, would renew the list again and again; such a pebble gets all
 // its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. Displacements are
-// exact travel, not sums of speeds.
+// exact travel, not sums of speeds. The skin follows the motion: lists that do not last get a wider one, lists that last
+// for long a tighter one; only counts of steps decide, so that a run repeats itself.
 //
 // Rejected: one record per contact gathered by body (1.7 times slower), a list walked twice (both bodies; same),
 // structure-of-arrays (no faster for pairs).
@@ -55,7 +56,7 @@ struct ContactTotals {
 
 class PairContacts {
  public:
-  // `skin` of the inner list [m], about 0.05 of a radius. With `period` the cell is 0..period and images interact.
+  // `skin` of the inner list to begin with [m], about 0.03 of a radius; it stays within skin_range of that. With `period` the cell is 0..period and images interact.
   explicit PairContacts(double skin, std::optional<Vec3> period = {},
                         InstructionSet instructions = best_instructions());
 
@@ -128,6 +129,7 @@ class PairContacts {
 
   bool has_left(const Particles& particles, Team& team) const;
   bool is_outer_used_up(const Particles& particles) const;
+  void adapt_skin();
   void rebuild_outer(const Particles& particles, Team& team);
   void refresh_inner(const Particles& particles, Team& team);
   void fill_chunk(const Particles& particles, std::size_t chunk, Chunk& scratch);
@@ -138,7 +140,10 @@ class PairContacts {
   std::int32_t chunk_body(const Particles& particles, std::size_t chunk) const;
   std::int32_t chunk_pebble(const Particles& particles, std::size_t chunk) const;
 
-  double skin_;
+  double first_skin_;       // [m]
+  double skin_;             // of the present inner list [m]
+  double outer_reach_ = 0;  // largest gap that the outer list took [m]
+  int age_ = 0;             // of the inner list, in updates
   std::optional<Vec3> period_;
   InstructionSet instructions_;
   GrainMaterial material_;

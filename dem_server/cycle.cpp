@@ -96,7 +96,7 @@ bool cycle(Model& m, Boundary& boundary) {
   wall_contacts(m);
   move(m);  // v(n+1/2), x(n+1)                        (step 7)
   check_speed(m);
-  book(m);
+  if (m.detail != Detail::Forces) book(m);
   m.time += m.time_step;
   m.last_time_step = m.time_step;
   ++m.step;

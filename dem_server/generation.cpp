@@ -29,9 +29,17 @@ constexpr Row table_5 = {0.318, 0.338, 0.367, 0.394, 0.430, 0.453};
 constexpr Row table_9 = {0.314, 0.336, 0.357, 0.389, 0.426, 0.447};
 constexpr double table_elongation = 1.5;
 
-constexpr double porosity_tolerance = 0.004;  // ends the tries; what comes out is held to
-constexpr double porosity_promise = 0.005;
-constexpr int most_tries = 5;
+// The search for the preparation friction. Small cubes scatter by 0.01 from seed to seed and from friction to friction,
+// so no root finder on the friction alone is sure to end; compaction is, since it goes on from the packing that is there.
+constexpr double porosity_tolerance = 0.003;  // ends the search; generation.hpp promises 0.005
+constexpr double first_aim = 0.003;           // looser than asked for: a loose packing can be compacted
+constexpr double friction_rise = 1.4;         // of the friction after a packing that was too dense, at least
+constexpr double compaction_step = 0.95;      // of the friction while a packing is compacted, at most
+constexpr double least_friction = 0.01;       // half the table's least: clumps come to rest slowly without
+constexpr double most_friction = 3;           // above 1 hardly a contact slips any more
+constexpr int tries_per_draw = 4;             // frictions for one random arrangement,
+constexpr int most_draws = 6;                 // and arrangements of one seed
+constexpr std::uint64_t draw_stride = 0xd1342543de82ef95ull;  // odd and without pattern: no seed's draws meet another's
 
 constexpr double step_share = 0.3;         // of sqrt(m/k_n) of the smallest grain; 0.6 is the last quiet one
 constexpr double packing_damping = 0.7;    // local damping
@@ -55,6 +63,7 @@ constexpr std::int64_t settled_window = 500;
 constexpr std::int64_t most_steps = 60000;
 constexpr double release_step = 1e-4;  // relative shrinking at once
 constexpr int release_interval = 60;   // steps after each
+constexpr int most_releases = 1000;
 
 double interpolate(const std::array<double, 6>& from, const std::array<double, 6>& to, double x) {
   for (std::size_t k = 1; k < from.size(); ++k)
@@ -65,26 +74,37 @@ double interpolate(const std::array<double, 6>& from, const std::array<double, 6
   return to.back();
 }
 
-// A nearly round clump packs like a sphere: rows are blended by the elongation.
+// Rows between those of the table are blended by the number of pebbles, and a nearly round clump packs like a sphere:
+// rows are blended by the elongation too.
 Row porosity_row(int pebbles, double elongation) {
-  const Row& clump = pebbles == 2 ? table_2 : pebbles == 3 ? table_3 : pebbles == 5 ? table_5 : table_9;
-  const double share = pebbles == 1 ? 0.0 : std::clamp((elongation - 1) / (table_elongation - 1), 0.0, 1.0);
-  Row row;
-  for (std::size_t k = 0; k < row.size(); ++k) row[k] = table_1[k] + share * (clump[k] - table_1[k]);
-  return row;
+  const auto blend = [](const Row& from, const Row& to, double share) {
+    Row row;
+    for (std::size_t k = 0; k < row.size(); ++k) row[k] = from[k] + share * (to[k] - from[k]);
+    return row;
+  };
+  if (pebbles == 1) return table_1;
+  const Row clump = pebbles == 2   ? table_2
+                    : pebbles <= 5 ? blend(table_3, table_5, (pebbles - 3) / 2.0)
+                                   : blend(table_5, table_9, (pebbles - 5) / 4.0);
+  return blend(table_1, clump, std::clamp((elongation - 1) / (table_elongation - 1), 0.0, 1.0));
 }
 
 // Grains in a fixed periodic cell whose size is the knob.
 class PackingCell {
  public:
-  PackingCell(Particles grains, const Vec3& period, double radius, const GrainMaterial& material)
-      : particles(std::move(grains)), period_(period), contacts_(0.08 * radius, period), material_(material) {}
+  PackingCell(Particles grains, const Vec3& period, double radius, const GrainMaterial& material, Team& team)
+      : particles(std::move(grains)),
+        period_(period),
+        contacts_(0.08 * radius, period),
+        material_(material),
+        team_(&team) {}
 
   Particles particles;
   std::int64_t steps = 0;
   double unbalanced = 0;  // mean unbalanced over mean contact force, last step
 
   void set_friction(double friction) { material_.friction = friction; }
+  double friction() const { return material_.friction; }
 
   void grow(double relative) { particles.scale_all(1 + relative); }
 
@@ -92,9 +112,14 @@ class PackingCell {
     const double smallest = particles.smallest_radius();
     const double dt = step_share * std::sqrt(particles.lightest() / material_.normal_stiffness(smallest, smallest));
     for (int k = 0; k < count; ++k, ++steps) {
-      contacts_.update(particles);
-      const ContactTotals totals = contacts_.compute(particles, material_, dt);
-      const MotionTotals motion = integrate(particles, Vec3::Zero(), dt, dt, packing_damping);
+      const Detail detail = k + 1 == count ? Detail::All : Detail::Forces;  // the last step's sums are looked at
+      contacts_.update(particles, *team_);
+      const ContactTotals totals = contacts_.compute(particles, material_, dt, detail, *team_);
+      MotionOptions options;
+      options.team = team_;
+      options.partition = &contacts_.partition();
+      options.detail = detail;
+      const MotionTotals motion = integrate(particles, Vec3::Zero(), dt, dt, packing_damping, options);
       unbalanced =
           unbalanced_ratio(motion.unbalanced_force, particles.body_count(), totals.contact_force, totals.active);
       for (std::size_t b = 0; b < particles.body_count(); ++b) {
@@ -123,11 +148,13 @@ class PackingCell {
   Vec3 period_;
   PairContacts contacts_;
   GrainMaterial material_;
+  Team* team_;
 };
 
-Particles insert_at_random(const CubeRequest& request, double factor, const Vec3& period) {
+// `draw` numbers the random arrangements of one seed.
+Particles insert_at_random(const CubeRequest& request, int draw, double factor, const Vec3& period) {
   const ClumpTemplate shape = make_clump(request.pebbles, request.elongation);
-  Random random(request.seed);
+  Random random(request.seed + static_cast<std::uint64_t>(draw) * draw_stride);
   // Uniform in [low, high] with the mean asked for; the sample's own mean is then made exact.
   const double low = 2 * request.radius_mean / (1 + request.radius_ratio), high = low * request.radius_ratio;
   std::vector<double> radius(request.grains);
@@ -175,108 +202,87 @@ void check(const CubeRequest& request) {
                                                              : ""));
 }
 
-}  // namespace
-
-PorosityRange reachable_porosity(int pebbles, double elongation) {
-  make_clump(pebbles, elongation);  // refuses what cannot be made
-  const Row row = porosity_row(pebbles, elongation);
-  return {row.front() - porosity_tolerance, row.back() + porosity_tolerance};
-}
-
-Cube make_cube(const CubeRequest& request) {
-  check(request);
-  const auto report = [&](std::string_view what, double fraction) {
-    if (request.progress) request.progress(what, fraction);
-  };
-  const Row row = porosity_row(request.pebbles, request.elongation);
-
-  // The cell holds the grains, at the size asked for, at the porosity asked for.
-  const double solid = solid_volume(insert_at_random(request, 1, Vec3::Ones()));
-  const Vec3 period = Vec3::Constant(std::cbrt(solid / (1 - request.porosity)));
-
+// A gas of grains that begin to touch, at rest nowhere yet.
+PackingCell make_gas(const CubeRequest& request, int draw, const Vec3& period, Team& team) {
   GrainMaterial material = request.material;
   material.friction = 0;
   material.damping_ratio = 0;
-  PackingCell gas(insert_at_random(request, inserted_size, period), period, request.radius_mean, material);
-  report("insert", 0);
+  PackingCell gas(insert_at_random(request, draw, inserted_size, period), period, request.radius_mean, material, team);
   gas.cycle(insertion_steps, insertion_drag);
   while (gas.porosity() > gas_end_porosity) {
     gas.grow(growth_interval * gas_growth);
     gas.cycle(growth_interval, gas_drag);
   }
+  return gas;
+}
 
-  Cube cube;
-  cube.period = period;
-  cube.steps = gas.steps;
-  double friction = interpolate(row, table_friction, request.porosity);
-  const double stiffness = 3 * bulk_over_contact * request.material.contact_modulus;  // dp per relative growth [Pa]
-  for (cube.tries = 1; true; ++cube.tries) {
-    PackingCell cell = gas;
-    cell.steps = 0;
-    cell.set_friction(friction);
-    report("squeeze", 0);
-    double pressure = cell.pressure();
-    // Growth is the servo: in proportion to the pressure that is missing, up to a rate that falls as the grains come to
-    // bear.
-    double window_growth = 0;
-    std::int64_t window_begin = cell.steps;
-    while (true) {
-      const double wanted = servo_gain * (request.pressure - pressure) / stiffness;
-      const double slackness = std::max(0.0, 1 - pressure / (pressure_rise * request.pressure));
-      const double fastest = growth_interval * (dense_growth + slackness * (loose_growth - dense_growth));
-      const double growth = std::clamp(wanted, -fastest, fastest);
-      cell.grow(growth);
-      window_growth += growth;
-      cell.cycle(growth_interval, squeeze_drag);
-      pressure = cell.pressure();
-      if (cell.steps - window_begin < settled_window) continue;
-      if (std::abs(pressure / request.pressure - 1) < pressure_tolerance && cell.unbalanced < settled_ratio &&
-          std::abs(window_growth) < settled_growth)
-        break;
-      report("squeeze", pressure / request.pressure);
-      window_growth = 0;
-      window_begin = cell.steps;
-      if (cell.steps > most_steps)
-        throw NumericalError(
-            fmt::format("grains.packing: the cube does not settle at {:.3g} Pa within {} steps (pressure {:.3g} Pa, "
-                        "unbalanced ratio {:.2g}, "
-                        "friction {:.3f}): try another seed or a higher cube_pressure",
-                        request.pressure, most_steps, pressure, cell.unbalanced, friction));
-    }
-    cube.porosity = cell.porosity();
-    cube.pressure = pressure;
-    cube.preparation_friction = friction;
-    cube.coordination = cell.coordination();
+// dp per relative growth [Pa].
+double growth_stiffness(const CubeRequest& request) { return 3 * bulk_over_contact * request.material.contact_modulus; }
 
-    const double miss = request.porosity - cube.porosity;
-    // The table's shape, moved through what this seed and pressure gave, says the next friction.
-    const double next = interpolate(row, table_friction, interpolate(table_friction, row, friction) + miss);
-    if (std::abs(miss) > porosity_tolerance && next != friction && cube.tries < most_tries) {
-      cube.steps += cell.steps;
-      friction = next;
-      continue;
-    }
-
-    report("let down", 0);
-    for (int k = 0; k < 1000 && pressure > 1.05 * request.released_pressure; ++k) {
-      cell.grow(-std::min(release_step, 0.5 * (pressure - request.released_pressure) / stiffness));
-      cell.cycle(release_interval, squeeze_drag);
-      pressure = cell.pressure();
-    }
-    cube.released_porosity = cell.porosity();
-    cube.released_pressure = pressure;
-    cube.steps += cell.steps;
-    cube.particles = std::move(cell.particles);
-    break;
+// Brings the cell to rest at the pressure asked for, with its present friction. Growth is the servo: in proportion to
+// the pressure that is missing, up to a rate that falls as the grains come to bear.
+void squeeze(PackingCell& cell, const CubeRequest& request) {
+  const std::int64_t begin = cell.steps;
+  std::int64_t window_begin = begin;
+  double pressure = cell.pressure(), window_growth = 0;
+  while (true) {
+    const double wanted = servo_gain * (request.pressure - pressure) / growth_stiffness(request);
+    const double slackness = std::max(0.0, 1 - pressure / (pressure_rise * request.pressure));
+    const double fastest = growth_interval * (dense_growth + slackness * (loose_growth - dense_growth));
+    const double growth = std::clamp(wanted, -fastest, fastest);
+    cell.grow(growth);
+    window_growth += growth;
+    cell.cycle(growth_interval, squeeze_drag);
+    pressure = cell.pressure();
+    if (cell.steps - window_begin < settled_window) continue;
+    if (std::abs(pressure / request.pressure - 1) < pressure_tolerance && cell.unbalanced < settled_ratio &&
+        std::abs(window_growth) < settled_growth)
+      return;
+    window_growth = 0;
+    window_begin = cell.steps;
+    if (request.progress) request.progress("squeezing the cube", std::min(1.0, pressure / request.pressure));
+    if (cell.steps - begin > most_steps)
+      throw NumericalError(fmt::format(
+          "grains.packing: the cube does not settle at {:.3g} Pa within {} steps (pressure {:.3g} Pa, unbalanced ratio "
+          "{:.2g}, friction {:.3f}): try another seed or a higher cube_pressure",
+          request.pressure, most_steps, pressure, cell.unbalanced, cell.friction()));
   }
-  if (std::abs(cube.porosity - request.porosity) > porosity_promise)
-    throw NumericalError(
-        fmt::format("grains.packing.porosity = {}: the cube came out at {:.4f} with preparation friction {:.3f} "
-                    "after {} tries; ask for that porosity or for another seed",
-                    request.porosity, cube.porosity, cube.preparation_friction, cube.tries));
+}
 
-  // Grains grew to fill the cell; the whole picture is now scaled so that they have the sizes asked for. Contact
-  // stiffness goes as the radius and area as its square: the stresses stay.
+// Lowers the friction of a packing that is too loose, under pressure, until its porosity is the one asked for: contacts
+// slip and the grains move closer. What one lowering brings is not known beforehand, so each aims at a part of what is
+// missing. Ends above the tolerance when the least friction is reached.
+void compact(PackingCell& cell, const CubeRequest& request, const Row& row) {
+  while (cell.porosity() > request.porosity + porosity_tolerance && cell.friction() > least_friction) {
+    const double excess = cell.porosity() - request.porosity;
+    const double aimed = interpolate(table_friction, row, cell.friction()) - excess;
+    const double next = interpolate(row, table_friction, aimed);
+    cell.set_friction(std::max(least_friction, std::min(next, compaction_step * cell.friction())));
+    squeeze(cell, request);
+  }
+}
+
+// Shrinks the grains until the pressure is the released one.
+void let_down(PackingCell& cell, const CubeRequest& request) {
+  double pressure = cell.pressure();
+  for (int k = 0; k < most_releases && pressure > 1.05 * request.released_pressure; ++k) {
+    cell.grow(-std::min(release_step, 0.5 * (pressure - request.released_pressure) / growth_stiffness(request)));
+    cell.cycle(release_interval, squeeze_drag);
+    pressure = cell.pressure();
+  }
+}
+
+// The friction to pack with after `friction` gave a packing that is too dense by `miss`: the table's shape, moved
+// through what came out, and a share more, since a packing that is too loose can be compacted and a dense one not be
+// loosened.
+double looser_friction(const Row& row, double friction, double miss) {
+  const double aimed = interpolate(table_friction, row, friction) + miss + porosity_tolerance;
+  return std::max(interpolate(row, table_friction, aimed), friction * friction_rise);
+}
+
+// Grains grew to fill the cell; the whole picture is scaled so that they have the sizes asked for. Contact stiffness
+// goes as the radius and area as its square: the stresses stay.
+void bring_to_size(Cube& cube, const CubeRequest& request) {
   Particles& particles = cube.particles;
   const double factor = request.radius_mean / particles.mean_radius();
   cube.period *= factor;
@@ -291,25 +297,92 @@ Cube make_cube(const CubeRequest& request) {
     particles.scale(b, factor);
   }
   sort_in_space(particles, 2 * request.radius_mean);
-  report("done", 1);
-  return cube;
 }
 
-Particles tile(const Cube& cube, const Vec3& low, const Vec3& high, const Vec3& lead) {
+}  // namespace
+
+PorosityRange reachable_porosity(int pebbles, double elongation) {
+  make_clump(pebbles, elongation);  // refuses what cannot be made
+  const Row row = porosity_row(pebbles, elongation);
+  return {row.front() - porosity_tolerance, row.back() + porosity_tolerance};
+}
+
+Cube make_cube(const CubeRequest& request) {
+  check(request);
+  Team team(request.threads);
+  const Row row = porosity_row(request.pebbles, request.elongation);
+  const auto report = [&](std::string_view what, double fraction) {
+    if (request.progress) request.progress(what, fraction);
+  };
+
+  Cube cube;
+  double nearest = 1;  // |porosity - asked for| of the best try
+  for (int draw = 0; draw < most_draws; ++draw) {
+    // The cell holds the grains, at the size asked for, at the porosity asked for.
+    const double solid = solid_volume(insert_at_random(request, draw, 1, Vec3::Ones()));
+    cube.period = Vec3::Constant(std::cbrt(solid / (1 - request.porosity)));
+    report("inserting the cube's grains", 0);
+    const PackingCell gas = make_gas(request, draw, cube.period, team);
+    cube.steps += gas.steps;
+    double friction = interpolate(row, table_friction, request.porosity + first_aim);
+    for (int k = 0; k < tries_per_draw; ++k) {
+      PackingCell cell = gas;
+      cell.steps = 0;
+      cell.set_friction(friction);
+      squeeze(cell, request);
+      compact(cell, request, row);
+      ++cube.tries;
+      cube.porosity = cell.porosity();
+      cube.pressure = cell.pressure();
+      cube.preparation_friction = cell.friction();
+      cube.coordination = cell.coordination();
+      const double miss = request.porosity - cube.porosity;
+      nearest = std::min(nearest, std::abs(miss));
+      if (std::abs(miss) <= porosity_tolerance) {
+        let_down(cell, request);
+        cube.released_porosity = cell.porosity();
+        cube.released_pressure = cell.pressure();
+        cube.steps += cell.steps;
+        cube.particles = std::move(cell.particles);
+        bring_to_size(cube, request);
+        report("cube made", 1);
+        return cube;
+      }
+      cube.steps += cell.steps;
+      if (miss < 0 || friction >= most_friction) break;  // cannot be compacted, or not be loosened, any further
+      friction = std::min(most_friction, looser_friction(row, friction, miss));
+    }
+  }
+  throw NumericalError(
+      fmt::format("grains.packing.porosity = {}: {} tries came no nearer than {:.4f}; grains of {} pebbles and "
+                  "elongation {} hardly "
+                  "pack so: ask for a porosity farther from the ends of {:.3f} to {:.3f}, for another seed or for more "
+                  "grains.packing.cube_grains (now {})",
+                  request.porosity, cube.tries, nearest, request.pebbles, request.elongation, row.front(), row.back(),
+                  request.grains));
+}
+
+void for_each_tiled(const Cube& cube, const Vec3& low, const Vec3& high, const Vec3& lead,
+                    const std::function<void(std::size_t, const Vec3&)>& visit) {
   LOCKSTEP_ASSERT((cube.period.array() > 0).all(), "a cube without extent");
   const Box box{low, high};
   std::array<int, 3> copies;
   const Vec3 start = low - lead.cwiseProduct(cube.period);
   for (int k = 0; k < 3; ++k)
     copies[k] = std::max(0, static_cast<int>(std::ceil((high[k] - start[k]) / cube.period[k])));
-  Particles filled;
   for (int z = 0; z < copies[2]; ++z)
     for (int y = 0; y < copies[1]; ++y)
       for (int x = 0; x < copies[0]; ++x) {
         const Vec3 shift = start + Vec3(x, y, z).cwiseProduct(cube.period);
         for (std::size_t b = 0; b < cube.particles.body_count(); ++b)
-          if (box.contains(cube.particles.position(b) + shift)) filled.append_copy(cube.particles, b, shift);
+          if (box.contains(cube.particles.position(b) + shift)) visit(b, shift);
       }
+}
+
+Particles tile(const Cube& cube, const Vec3& low, const Vec3& high, const Vec3& lead) {
+  Particles filled;
+  for_each_tiled(cube, low, high, lead,
+                 [&](std::size_t b, const Vec3& shift) { filled.append_copy(cube.particles, b, shift); });
   return filled;
 }
 

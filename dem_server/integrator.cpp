@@ -81,11 +81,13 @@ MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_st
 std::int32_t fastest_body(const Particles& particles) {
   std::int32_t fastest = -1;
   double largest = -1;
-  for (std::size_t b = 0; b < particles.body_count(); ++b)
-    if (const double rate = particles.velocity(b).norm() / particles.equivalent_radius(b); !(rate <= largest)) {
-      largest = rate;
-      fastest = static_cast<std::int32_t>(b);
-    }
+  for (std::size_t b = 0; b < particles.body_count(); ++b) {
+    const double rate = particles.velocity(b).norm() / particles.equivalent_radius(b);
+    if (!std::isfinite(rate) || !particles.spin(b).allFinite()) return static_cast<std::int32_t>(b);
+    if (rate <= largest) continue;
+    largest = rate;
+    fastest = static_cast<std::int32_t>(b);
+  }
   return fastest;
 }
 

@@ -70,7 +70,7 @@ struct MotionOptions {
 MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_step_old, double time_step_new,
                        double damping, const MotionOptions& options = {});
 
-// The body with the largest speed over radius; -1 without bodies.
+// The body with the largest speed over radius, or the first whose motion is no number; -1 without bodies.
 std::int32_t fastest_body(const Particles& particles);
 
 }  // namespace lockstep::dem

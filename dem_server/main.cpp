@@ -11,15 +11,18 @@
 //   continuum_client scenarios/grain_on_block --connect 127.0.0.1:4711
 // Any program that speaks protocol/coupling.proto may take the client's place.
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <thread>
 
 #include "common/checks.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
 #include "common/results.hpp"
 #include "common/scene.hpp"
+#include "dem_server/packing_file.hpp"
 #include "dem_server/settings.hpp"
 #include "dem_server/stages.hpp"
 #include "protocol/tcp_channel.hpp"
@@ -30,13 +33,15 @@ constexpr const char* examples = R"(Examples:
   dem_server scenarios/pile_quick --listen 127.0.0.1:4711 --results runs/by_hand
   dem_server scenarios/pile_quick --listen 127.0.0.1:0          (takes a free port and prints it)
   dem_server scenarios/pile_quick --set fidelity.pile_velocity=0.5 --set seed=7
+  dem_server scenarios/pile_quick --packing pile.packing        (writes the balanced packing; the next run takes it)
   dem_server --keys                                             (every key of a scene with unit, default and range)
 Exit codes: 0 done, 1 wrong input, 2 file or port, 3 peer, 4 numerical, 5 internal, 130 interrupted.)";
 
 struct Arguments {
   std::string scene;
   std::string listen = "127.0.0.1:0";
-  std::string results, log, record;
+  std::string results, log, record, packing;
+  int threads = 1;
   std::vector<std::string> overrides;
   bool verbose = false, progress = false, keys = false, version = false;
 };
@@ -53,10 +58,17 @@ std::pair<std::string, std::uint16_t> split_address(const std::string& text) {
   return {host, static_cast<std::uint16_t>(std::stoul(port))};
 }
 
+// Beyond these a packing of tens of thousands of grains has too little work for each.
+constexpr int most_balance_threads = 16;
+
+int cores() { return static_cast<int>(std::thread::hardware_concurrency()); }
+
 int run(const Arguments& arguments) {
   using namespace lockstep;
   const SceneFile scene = read_scene(arguments.scene, arguments.overrides);
-  dem::make_settings(scene);  // what is wrong with the scene is said before a port is opened
+  // What is wrong with the scene or its packing is said before a port is opened.
+  const dem::Settings settings = dem::make_settings(scene);
+  if (!arguments.packing.empty()) dem::open_packing(arguments.packing, settings.packing_keys);
   if (!arguments.results.empty()) prepare_folder(arguments.results);
   const auto [host, port] = split_address(arguments.listen);
   std::unique_ptr<protocol::Channel> channel;
@@ -67,8 +79,15 @@ int run(const Arguments& arguments) {
     const auto patience = std::chrono::milliseconds(std::llround(1000 * scene.scene.coupling().connect_timeout()));
     channel = listener.accept(std::chrono::steady_clock::now() + patience);
   }
-  const dem::RunReport report =
-      dem::run_grains(scene, std::move(channel), {arguments.results, arguments.record, arguments.progress});
+  dem::RunOptions options;
+  options.results = arguments.results;
+  options.record_path = arguments.record;
+  options.prints_progress = arguments.progress;
+  options.packing = arguments.packing;
+  options.threads = arguments.threads;
+  // The peer waits while the packing is made, so its cores are free.
+  options.balance_threads = std::max(arguments.threads, std::clamp(cores(), 1, most_balance_threads));
+  const dem::RunReport report = dem::run_grains(scene, std::move(channel), options);
   return static_cast<int>(report.is_interrupted || interrupt_requested() ? ExitCode::Interrupted : ExitCode::Success);
 }
 
@@ -87,6 +106,12 @@ int main(int argc, char** argv) {
   app.add_option("--set", arguments.overrides, "KEY=VALUE, overrides a key of the scene; give the peer the same")
       ->allow_extra_args(false);
   app.add_option("--log", arguments.log, "file for the full log");
+  app.add_option("--packing", arguments.packing,
+                 "file of the balanced packing: taken from it, or written to it when it does not exist yet");
+  app.add_option("--threads", arguments.threads,
+                 "of the grains from Apply on (Balance uses all cores); the results do not depend on it")
+      ->capture_default_str()
+      ->check(CLI::Range(1, 256));
   app.add_option("--record", arguments.record, "file that every frame is recorded in");
   app.add_flag("--verbose", arguments.verbose, "debug messages on the console too");
   app.add_flag("--progress", arguments.progress,

@@ -7,6 +7,7 @@ namespace lockstep::dem {
 namespace {
 
 constexpr double sphere_moment = 0.4;  // I / (m R^2)
+constexpr double largest_square = 1e300;
 
 struct Sums {
   Sum8 translation, rotation, gravity_work, damped_work, contact_work, unbalanced, mass, square;
@@ -192,6 +193,7 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
     for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.attitudes[first + l].qx) = rows[l];
   }
   next_spin = select(moves, next_spin, none);
+  too_fast |= ~(dot(next_spin, next_spin) <= largest_square);  // a spin that is no number
   if constexpr (has_works) {
     sum.rotation.add(begin, select(moves, rotation_energy, zero));
     sum.contact_work.add(begin, select(moves, dt * (dot(force, mean) + dot(pure_torque, middle)), zero));

@@ -16,6 +16,8 @@ Vec3 nearest_image(const Vec3& from_i_to_j, const Vec3& period) {
 
 namespace {
 
+constexpr double most_cells_a_side = 1e6;
+
 Vec3 wrapped(Vec3 x, const std::optional<Vec3>& period) {
   if (period)
     for (int k = 0; k < 3; ++k) x[k] -= (*period)[k] * std::floor(x[k] / (*period)[k]);
@@ -89,12 +91,12 @@ void NeighborSearch::fill(Grid& grid, const Particles& particles, const std::vec
   grid.low = low;
   const double range = 2 * grid.largest_radius + reach_;
   // A cloud that is mostly empty may not ask for more cells than pebbles can use.
-  const double cells = ((high - low) / range + Vec3::Ones()).prod();
-  const double widen = std::max(1.0, std::cbrt(cells / (cells_per_pebble * static_cast<double>(members.size()) + 64)));
+  const double most_cells = cells_per_pebble * static_cast<double>(members.size()) + 64;
+  Vec3 cells = ((high - low) / range).array().floor().min(most_cells_a_side).max(1.0).matrix();
+  while (cells.prod() > most_cells) cells = (0.5 * cells).array().floor().max(1.0).matrix();
   for (int k = 0; k < 3; ++k) {
-    const double extent = high[k] - low[k];
-    grid.count[k] = std::max(1, static_cast<std::int32_t>(std::min(extent / (range * widen), 1e6)));
-    grid.cells_per_length[k] = extent > 0 ? grid.count[k] / extent : 0;
+    grid.count[k] = static_cast<std::int32_t>(cells[k]);
+    grid.cells_per_length[k] = grid.count[k] > 1 ? grid.count[k] / (high[k] - low[k]) : 0;
   }
   grid.cell_begin.assign(static_cast<std::size_t>(grid.count[0]) * grid.count[1] * grid.count[2] + 1, 0);
   std::vector<std::int32_t> cell(members.size());

@@ -25,10 +25,15 @@ struct Assembly {
   double preparation_friction = 0;  // in the cube
 };
 
+// Threads that pay for so many grains, at most `threads`: a thread with less to do waits for the others longer than it
+// works, and on a busy machine loses its core each time.
+int worthwhile_threads(std::size_t grains, int threads);
+
 using Heartbeat = std::function<void(std::string_view text, double fraction)>;
 
-// `ground_density` is the bulk density of the ground that the grains replace [kg/m3].
-Assembly assemble(const Settings& settings, double ground_density, const Heartbeat& heartbeat);
+// `ground_density` is the bulk density of the ground that the grains replace [kg/m3]. The bits do not depend on
+// `threads`.
+Assembly assemble(const Settings& settings, double ground_density, const Heartbeat& heartbeat, int threads = 1);
 
 // Porosity of the packing as it stands, away from sides, bottom, surface and pile, whose order loosens it; 0 when the container
 // is too narrow to have such a place.

@@ -126,6 +126,7 @@ class Particles {
   SphereRecord* pebbles() { return has_clumps() ? pebbles_.data() : bodies_.data(); }
   const MotionRecord* motion() const { return motion_.data(); }
   MotionRecord* motion() { return motion_.data(); }
+  const LoadRecord* loads() const { return loads_.data(); }
   LoadRecord* loads() { return loads_.data(); }
   // Of clumps only.
   SphereRecord* offsets() { return offsets_.data(); }

@@ -207,6 +207,69 @@ WallSettings wall_of(const SceneFile& file, int index) {
   return wall;
 }
 
+// Keys that matter from Apply on only, so that a packing may be taken whatever they are: motion and friction of what
+// stands still and is smooth in Balance.
+bool is_later_key(const std::string& key) {
+  static const std::vector<std::string> keys = {"grains.interface_friction", "grains.wall_friction", "pile.friction",
+                                                "pile.penetration", "pile.speed_ramp"};
+  static const std::vector<std::string> of_walls = {".name", ".velocity", ".spin", ".spin_center", ".friction"};
+  return std::find(keys.begin(), keys.end(), key) != keys.end() ||
+         (key.starts_with("wall[") &&
+          std::any_of(of_walls.begin(), of_walls.end(), [&](const std::string& end) { return key.ends_with(end); }));
+}
+
+std::string in_words(const google::protobuf::Message& block, const google::protobuf::FieldDescriptor& field) {
+  using Field = google::protobuf::FieldDescriptor;
+  const google::protobuf::Reflection& values = *block.GetReflection();
+  switch (field.cpp_type()) {
+    case Field::CPPTYPE_DOUBLE:
+      return fmt::format("{}", values.GetDouble(block, &field));
+    case Field::CPPTYPE_UINT32:
+      return fmt::format("{}", values.GetUInt32(block, &field));
+    case Field::CPPTYPE_UINT64:
+      return fmt::format("{}", values.GetUInt64(block, &field));
+    case Field::CPPTYPE_BOOL:
+      return values.GetBool(block, &field) ? "true" : "false";
+    case Field::CPPTYPE_ENUM:
+      return std::string(values.GetEnum(block, &field)->name());
+    case Field::CPPTYPE_STRING:
+      return fmt::format("\"{}\"", values.GetString(block, &field));
+    default:
+      LOCKSTEP_ASSERT(false, "{} is of a type that no scene has", field.full_name());
+      return "";
+  }
+}
+
+// The keys of a block that is there, defaults included, in the order of scene.proto.
+void add_keys(const google::protobuf::Message& block, const std::string& name, SceneKeys& keys) {
+  const google::protobuf::Descriptor& type = *block.GetDescriptor();
+  const google::protobuf::Reflection& values = *block.GetReflection();
+  for (int f = 0; f < type.field_count(); ++f) {
+    const google::protobuf::FieldDescriptor& field = *type.field(f);
+    const std::string key = name + "." + std::string(field.name());
+    if (is_later_key(key)) continue;
+    if (field.is_repeated())
+      for (int i = 0; i < values.FieldSize(block, &field); ++i)
+        add_keys(values.GetRepeatedMessage(block, &field, i), fmt::format("{}[{}]", key, i), keys);
+    else if (field.cpp_type() != google::protobuf::FieldDescriptor::CPPTYPE_MESSAGE)
+      keys.emplace_back(key, in_words(block, field));
+    else if (values.HasField(block, &field))
+      add_keys(values.GetMessage(block, &field), key, keys);
+  }
+}
+
+SceneKeys packing_keys_of(const scene::Scene& scene) {
+  SceneKeys keys = {{"seed", fmt::format("{}", scene.seed())}, {"gravity", fmt::format("{}", scene.gravity())}};
+  keys.emplace_back("fidelity.pebbles_per_clump", fmt::format("{}", scene.fidelity().pebbles_per_clump()));
+  keys.emplace_back("fidelity.particle_scale", fmt::format("{}", scene.fidelity().particle_scale()));
+  add_keys(scene.grains(), "grains", keys);
+  if (scene.has_pile()) add_keys(scene.pile(), "pile", keys);
+  for (int i = 0; i < scene.plane_size(); ++i) add_keys(scene.plane(i), fmt::format("plane[{}]", i), keys);
+  for (int i = 0; i < scene.wall_size(); ++i) add_keys(scene.wall(i), fmt::format("wall[{}]", i), keys);
+  add_keys(scene.balance(), "balance", keys);
+  return keys;
+}
+
 }  // namespace
 
 Settings make_settings(const SceneFile& file) {
@@ -230,11 +293,7 @@ Settings make_settings(const SceneFile& file) {
   s.facet_stiffness_factor = grains.facet_stiffness_factor();
   s.elongation = grains.elongation();
   const auto pebbles = scene.fidelity().pebbles_per_clump();
-  const char* pebbles_key = pebbles ? "fidelity.pebbles_per_clump" : "grains.pebbles";
   s.pebbles = static_cast<int>(pebbles ? pebbles : grains.pebbles());
-  if (s.pebbles != 1 && s.pebbles != 2 && s.pebbles != 3 && s.pebbles != 5 && s.pebbles != 9)
-    throw InputError(fmt::format("{} = {}: a clump has 1, 2, 3, 5 or 9 pebbles; choose one of these",
-                                 file.where(pebbles_key), s.pebbles));
 
   if (grains.has_packing()) {
     s.packing = packing_of(file);
@@ -286,6 +345,7 @@ Settings make_settings(const SceneFile& file) {
   s.write_particles = scene.output().particles();
   s.write_contacts = scene.output().contacts();
   s.measure = measure_of(file);
+  s.packing_keys = packing_keys_of(scene);
   return s;
 }
 

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/scene.hpp"
@@ -109,6 +110,9 @@ struct MeasureSettings {
   bool is_any() const { return !balls.empty() || !grids.empty() || !tracked.empty() || fabric || force_network; }
 };
 
+// Keys of a scene and their values, in words.
+using SceneKeys = std::vector<std::pair<std::string, std::string>>;
+
 struct Settings {
   std::string title;
   double gravity = 0;  // downwards [m/s2]
@@ -126,8 +130,8 @@ struct Settings {
   std::optional<LatticeSettings> lattice;
   std::vector<GrainSettings> grains;
   std::optional<PileSettings> pile;
-  std::vector<PlaneSettings> planes;  // of `plane` blocks, and the sides of a box
-  std::vector<WallSettings> walls;    // of `wall` blocks, each with a name; meshes are read already
+  std::vector<PlaneSettings> planes;            // of `plane` blocks, and the sides of a box
+  std::vector<WallSettings> walls;              // of `wall` blocks, each with a name; meshes are read already
   std::vector<WallSettings> all_walls() const;  // walls, then planes
 
   BalanceSettings balance;
@@ -143,6 +147,8 @@ struct Settings {
   bool write_particles = true;
   bool write_contacts = true;
   MeasureSettings measure;
+
+  SceneKeys packing_keys;  // what stage Balance depends on, beside the ground
 };
 
 // Throws InputError for what the ranges of single keys cannot catch.

@@ -13,6 +13,7 @@
 #include "dem_server/cycle.hpp"
 #include "dem_server/output.hpp"
 #include "dem_server/packing.hpp"
+#include "dem_server/packing_file.hpp"
 #include "dem_server/servo.hpp"
 #include "dem_server/settings.hpp"
 #include "protocol/session.hpp"
@@ -58,6 +59,9 @@ class GrainsRun {
         settings_(make_settings(scene)),
         output_(settings_, options.results),
         prints_progress_(options.prints_progress),
+        packing_path_(options.packing),
+        threads_(options.threads),
+        balance_threads_(options.balance_threads),
         session_([&] {
           protocol::SessionSettings s;
           s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings_.peer_timeout));
@@ -89,7 +93,12 @@ class GrainsRun {
   void shake_hands();
   void receive_initial_stress();
   void balance();
-  void tell_balance(const Servo& servo, Clock::time_point begin);
+  void make_model();
+  HandedOver handed_over() const;
+  BalanceFigures make_packing(const HandedOver& ground);
+  void take_packing(const BalancedPacking& packing);
+  BalanceFigures figures_of(const Servo& servo) const;
+  void tell_balance(const BalanceFigures& figures, double tip_target, Clock::time_point begin);
   void relax();
   void grow();
   void settle(Servo& servo);
@@ -119,6 +128,8 @@ class GrainsRun {
   Settings settings_;
   Output output_;
   bool prints_progress_;
+  std::filesystem::path packing_path_;
+  int threads_, balance_threads_;
   Session session_;
 
   protocol::InitialStress initial_;
@@ -196,13 +207,53 @@ void GrainsRun::set_friction(double grain, double share) {
 void GrainsRun::balance() {
   stage_ = protocol::Stage::Balance;
   const auto begin = Clock::now();
-  assembly_ = assemble(settings_, initial_.bulk_density, [this](std::string_view text, double fraction) {
-    session_.heartbeat(text, 0.2 * fraction);
-    show_packing(0.2 * fraction);
-  });
+  std::optional<BalancedPacking> packing;
+  if (!packing_path_.empty()) packing = open_packing(packing_path_, settings_.packing_keys);
+  const bool is_given = packing.has_value();
+  const HandedOver ground = handed_over();
+  if (is_given) {
+    check_fits(packing->ground, ground, packing_path_);
+    take_packing(*packing);
+  } else {
+    packing.emplace();
+    packing->figures = make_packing(ground);
+  }
+  Model& m = *model_;
+  m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
+  if (m.pile) m.pile->set_velocity(0);
+  m.walls.set_moving(false, false);
+  m.detail = Detail::All;
+  if (!is_given && !packing_path_.empty()) {
+    // Goes on as one that reads the file will: with lists of the same age sums have the same bits too, not states alone.
+    packing->state = state_of(m);
+    restore(m, packing->state);
+  }
+  m.team = std::make_unique<Team>(threads_);
+  evaluate_forces(m);
+  if (!is_given) packing->figures.porosity = bulk_porosity(settings_, assembly_, m.particles);
+  tell_balance(packing->figures, ground.tip_target, begin);
+  if (is_given) {
+    spdlog::info("the balanced packing was taken from {}", packing_path_.string());
+  } else if (!packing_path_.empty()) {
+    packing->keys = settings_.packing_keys;
+    packing->ground = ground;
+    packing->assembly = assembly_;
+    write_packing(packing_path_, *packing);
+    spdlog::info("the balanced packing was written to {}", packing_path_.string());
+  }
+}
+
+HandedOver GrainsRun::handed_over() const {
+  const double tip_target = settings_.pile ? target_vertical_pressure(-settings_.pile->embedment) : 0.0;
+  return {initial_.nodes, initial_.facets, initial_.ring, initial_.traction, initial_.bulk_density, tip_target};
+}
+
+// The grains of `assembly_`, and what is around them.
+void GrainsRun::make_model() {
   const double radius = assembly_.mean_radius > 0 ? assembly_.mean_radius : 1.0;
   const double collar = settings_.pile ? 2 * settings_.pile->shape.radius : 0.0;
-  model_ = std::make_unique<Model>(list_skin * radius);
+  model_ = std::make_unique<Model>(list_skin * radius,
+                                   worthwhile_threads(assembly_.particles.body_count(), balance_threads_));
   Model& m = *model_;
   m.particles = std::move(assembly_.particles);
   m.is_fixed = assembly_.is_fixed;
@@ -223,32 +274,61 @@ void GrainsRun::balance() {
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     reach_ = std::max(reach_, std::as_const(m.particles).position(b).norm());
   for (const Vec3& x : initial_.nodes) reach_ = std::max(reach_, x.norm());
+}
 
+BalanceFigures GrainsRun::make_packing(const HandedOver& ground) {
+  assembly_ = assemble(
+      settings_, initial_.bulk_density,
+      [this](std::string_view text, double fraction) {
+        session_.heartbeat(text, 0.2 * fraction);
+        show_packing(0.2 * fraction);
+      },
+      balance_threads_);
+  make_model();
   ServoSettings servo_settings;
-  servo_settings.max_travel = settings_.balance.max_servo_travel * radius;
-  const double tip_target = settings_.pile ? target_vertical_pressure(-settings_.pile->embedment) : 0.0;
-  Servo servo(m, initial_.ring, initial_.traction, tip_target, servo_settings);
+  servo_settings.max_travel = settings_.balance.max_servo_travel * assembly_.mean_radius;
+  Servo servo(*model_, ground.ring, ground.traction, ground.tip_target, servo_settings);
   if (settings_.balance.max_cycles > 0) {
     relax();
     if (settings_.packing) grow();
     settle(servo);
   }
-  m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
-  if (m.pile) m.pile->set_velocity(0);
-  m.walls.set_moving(false, false);
-  evaluate_forces(m);
-  tell_balance(servo, begin);
+  return figures_of(servo);
+}
+
+void GrainsRun::take_packing(const BalancedPacking& packing) {
+  assembly_ = packing.assembly;
+  assembly_.particles = packing.state.particles;
+  assembly_.is_fixed = packing.state.is_fixed;
+  make_model();
+  restore(*model_, packing.state);
+  if (settings_.balance.max_cycles > 0) set_friction(settings_.material.friction, 0);
+}
+
+BalanceFigures GrainsRun::figures_of(const Servo& servo) const {
+  BalanceFigures figures;
+  figures.cycles = model_->step;
+  figures.unbalanced_ratio = settings_.balance.max_cycles > 0 ? unbalanced_ratio(*model_) : 0.0;
+  figures.has_servo = settings_.balance.max_cycles > 0 && settings_.balance.servo;
+  if (!figures.has_servo) return figures;
+  const BottomBalance bottom = bottom_balance(servo);
+  figures.rings = servo.rings();
+  figures.tip_pressure = servo.tip_pressure();
+  figures.ring_mismatch = servo.worst_mismatch(settings_.balance.traction_tolerance);
+  figures.bottom_mismatch = bottom.mismatch(settings_.balance.traction_tolerance);
+  figures.bottom_force = bottom.force, figures.weight = bottom.weight, figures.tip_force = bottom.tip;
+  return figures;
 }
 
 // What the packing reached, to the peer, the log and the summary.
-void GrainsRun::tell_balance(const Servo& servo, Clock::time_point begin) {
+void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, Clock::time_point begin) {
   const Model& m = *model_;
   protocol::Balance reached;
   reached.traction.resize(initial_.facets.size());
   for (std::size_t f = 0; f < reached.traction.size(); ++f)
     reached.traction[f] = m.facets.facet_force()[f] / m.facets.area_vector(f).norm();
-  reached.porosity = bulk_porosity(settings_, assembly_, m.particles);
-  reached.unbalanced_ratio = settings_.balance.max_cycles > 0 ? unbalanced_ratio(m) : 0.0;
+  reached.porosity = figures.porosity;
+  reached.unbalanced_ratio = figures.unbalanced_ratio;
   reached.particles = m.particles.body_count();
   reached.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
   session_.send(reached);
@@ -260,34 +340,36 @@ void GrainsRun::tell_balance(const Servo& servo, Clock::time_point begin) {
       .add("cube_porosity", assembly_.cube_porosity)
       .add("preparation_friction", assembly_.preparation_friction)
       .add("overall_porosity", assembly_.overall_porosity);
-  if (settings_.balance.max_cycles > 0 && settings_.balance.servo) {
-    const BottomBalance bottom = bottom_balance(servo);
+  if (figures.has_servo) {
     std::string table;
     std::vector<double> targets, pressures, depths;
-    for (const Ring& ring : servo.rings()) {
+    for (const Ring& ring : figures.rings) {
       if (!ring.is_side()) continue;
       targets.push_back(ring.target), pressures.push_back(ring.pressure), depths.push_back(ring.center_z);
       table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm",
                            ring.center_z, ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
     }
     spdlog::info("ring pressures:{}", table);
+    const double bottom_error = figures.bottom_force - (figures.weight + figures.tip_force);
     if (m.pile)
       spdlog::info(
           "tip at z {:.3f} m carries {:.2f} kPa, handed over {:.2f} kPa; bottom {:.2f} kN = weight {:.2f} + tip {:.2f} "
           "{:+.2f} kN",
-          m.pile->tip_z(), servo.tip_pressure() / 1000, servo.tip_target() / 1000, bottom.force / 1000,
-          bottom.weight / 1000, bottom.tip / 1000, bottom.error() / 1000);
+          m.pile->tip_z(), figures.tip_pressure / 1000, tip_target / 1000, figures.bottom_force / 1000,
+          figures.weight / 1000, figures.tip_force / 1000, bottom_error / 1000);
     entry.add("ring_depth_m", depths).add("ring_target_pa", targets).add("ring_pressure_pa", pressures);
-    entry.add("tip_target_pa", servo.tip_target()).add("tip_pressure_pa", servo.tip_pressure());
-    entry.add("bottom_force_n", bottom.force).add("weight_n", bottom.weight).add("bottom_error_n", bottom.error());
-    report_.ring_mismatch = servo.worst_mismatch(settings_.balance.traction_tolerance);
-    report_.bottom_mismatch = bottom.mismatch(settings_.balance.traction_tolerance);
+    entry.add("tip_target_pa", tip_target).add("tip_pressure_pa", figures.tip_pressure);
+    entry.add("bottom_force_n", figures.bottom_force)
+        .add("weight_n", figures.weight)
+        .add("bottom_error_n", bottom_error);
+    report_.ring_mismatch = figures.ring_mismatch;
+    report_.bottom_mismatch = figures.bottom_mismatch;
     entry.add("worst_ring_mismatch", report_.ring_mismatch);
   }
   spdlog::info(
       "stage Balance (paper step 2): unbalanced ratio {:.1e}, {} contacts, bulk porosity {:.3f}, {} cycles, {:.1f} s",
-      reached.unbalanced_ratio, reached.contacts, reached.porosity, m.step, seconds_since(begin));
-  entry.add("cycles", static_cast<std::int64_t>(m.step));
+      reached.unbalanced_ratio, reached.contacts, reached.porosity, figures.cycles, seconds_since(begin));
+  entry.add("cycles", static_cast<std::int64_t>(figures.cycles));
   stage_done("Balance", begin, std::move(entry));
 }
 
@@ -315,6 +397,7 @@ void GrainsRun::relax() {
   m.gravity.setZero();
   set_friction(0, 0);
   double largest = 1;
+  const auto begin = Clock::now();
   evaluate_forces(m);
   for (int n = 0; n < relax_cycles && largest > relaxed_overlap; ++n) {
     if (n % limit_interval == 0) held.time_step = renew_step();
@@ -330,7 +413,7 @@ void GrainsRun::relax() {
     if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
   }
   m.gravity = {0, 0, -settings_.gravity};
-  spdlog::info("relaxed: largest overlap {:.3f} R after {} cycles", largest, m.step);
+  spdlog::info("relaxed: largest overlap {:.3f} R after {} cycles, {:.1f} s", largest, m.step, seconds_since(begin));
 }
 
 // The cut leaves gaps along walls and pile as well, and a packing that is not jammed collapses for ever under gravity.
@@ -353,6 +436,8 @@ void GrainsRun::grow() {
   double growth = 1, pressure = 0, reached = 0;
   bool is_growing = true;
   const std::uint64_t begin = m.step;
+  const auto begin_time = Clock::now();
+  m.detail = Detail::Forces;  // only the facets' sums are looked at
   for (int n = 0; n < grow_cycles && (is_growing || pressure > released_pressure); ++n) {
     if (n % limit_interval == 0) held.time_step = renew_step();
     if (n % grow_interval == 0) {
@@ -373,9 +458,9 @@ void GrainsRun::grow() {
   m.gravity = {0, 0, -settings_.gravity};
   spdlog::info(
       "grown by {:.2f} % to {:.1f} kPa and let down to {:.1f} kPa in {} cycles: mean radius {:.4g} m, overall porosity "
-      "{:.3f}, solid density {:.0f} kg/m3",
+      "{:.3f}, solid density {:.0f} kg/m3, {:.1f} s",
       100 * (growth - 1), reached / 1000, pressure / 1000, m.step - begin, assembly_.mean_radius,
-      assembly_.overall_porosity, assembly_.solid_density);
+      assembly_.overall_porosity, assembly_.solid_density, seconds_since(begin_time));
 }
 
 // Gravity with friction between the grains but smooth walls (with rough ones the sides would carry the weight, as in a
@@ -394,6 +479,7 @@ void GrainsRun::settle(Servo& servo) {
   bool is_balanced = false;
   for (; n < b.max_cycles && !is_balanced; ++n) {
     if (n % limit_interval == 0) servo.time_step = renew_step();
+    m.detail = n % heartbeat_interval == 0 ? Detail::All : Detail::Forces;  // sums are looked at once in a while
     cycle(m, servo);
     if (n % heartbeat_interval != 0) continue;
     ratio = unbalanced_ratio(m);

@@ -14,6 +14,9 @@ struct RunOptions {
   std::filesystem::path results;  // folder; empty: nothing is written
   std::string record_path;        // recording of every frame; empty: none
   bool prints_progress = false;   // "@progress" lines
+  std::filesystem::path packing;  // balanced packing: taken from this file, or written to it; empty: made and not kept
+  int threads = 1;                // from Apply on
+  int balance_threads = 1;        // while the peer waits: stage Balance; no bit depends on either
 };
 
 // What a run came to, for tests and for main's last words.

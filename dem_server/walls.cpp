@@ -72,7 +72,8 @@ WallContact press(Particles& particles, std::int32_t pebble, std::int32_t part, 
   law.normal_stiffness = material.normal_stiffness(radius, radius);
   law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
   law.friction = friction;
-  law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(contact.body));
+  if (material.damping_ratio > 0)
+    law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(contact.body));
   contact.normal_stiffness = law.normal_stiffness;
   contact.shear_stiffness = law.shear_stiffness;
 

@@ -1,4 +1,6 @@
 #include <catch2/catch.hpp>
+#include <map>
+#include <utility>
 
 #include "common/checks.hpp"
 #include "common/random.hpp"
@@ -344,4 +346,394 @@ TEST_CASE("an empty crowd costs nothing and moves nowhere") {
   world.step(1e-5);
   CHECK(world.totals.active == 0);
   CHECK(world.energy() == 0);
+}
+
+// ------------------------------------------------------------------------- lanes against one pair at a time
+
+namespace {
+
+using Real = long double;
+using Real3 = Eigen::Matrix<Real, 3, 1>;
+
+Real3 real(const Vec3& v) { return v.cast<Real>(); }
+
+constexpr double deepest_turn = 0.9;  // the kernel's: of r_i + r_j, beyond which a spring is only projected
+
+// What one pair of pebbles gives, written from the formulas of contact_law.hpp and pair_kernel.cpp in numbers of 64 bits of
+// mantissa, so that the difference is the kernel's own rounding.
+struct PairTruth {
+  bool touches = false;
+  Real3 force_a = Real3::Zero(), torque_a = Real3::Zero(), torque_b = Real3::Zero(), spring = Real3::Zero();
+  Real normal_force = 0, slip_work = 0, dashpot_work = 0, normal_energy = 0, shear_energy = 0, overlap_ratio = 0;
+};
+
+PairTruth one_pair(const Particles& p, std::size_t i, std::size_t j, const Vec3& old_spring, const GrainMaterial& m,
+                   double dt) {
+  const std::size_t a = p.pebble_body(i), b = p.pebble_body(j);
+  const Real3 xi = real(p.pebble_center(i)), xj = real(p.pebble_center(j)), xa = real(p.position(a)),
+              xb = real(p.position(b)), va = real(p.velocity(a)), vb = real(p.velocity(b)), wa = real(p.spin(a)),
+              wb = real(p.spin(b));
+  const Real ri = p.pebble_radius(i), rj = p.pebble_radius(j), size_a = p.equivalent_radius(a),
+             size_b = p.equivalent_radius(b), ma = p.mass(a), mb = p.mass(b);
+  PairTruth t;
+  const Real distance = (xj - xi).norm(), overlap = ri + rj - distance;
+  if (!(overlap > 0)) return t;
+  t.touches = true;
+  const Real3 n = distance > 0 ? Real3((xj - xi) / distance) : Real3(0, 0, 1);
+  const Real3 point = xi + (ri - overlap / 2) * n;
+  const auto velocity_at = [](const Real3& v, const Real3& w, const Real3& arm) -> Real3 { return v + w.cross(arm); };
+  const Real3 v = velocity_at(vb, wb, point - xb) - velocity_at(va, wa, point - xa);
+  const Real3 centers = velocity_at(vb, wb, xj - xb) - velocity_at(va, wa, xi - xa);
+  const Real stiffness = m.contact_modulus * (size_a + size_b), shear = stiffness / m.stiffness_ratio;
+  const Real dashpot = 2 * m.damping_ratio * std::sqrt(stiffness * ma * mb / (ma + mb));
+  const Real elastic = stiffness * overlap;
+  t.normal_force = std::max<Real>(0, elastic - dashpot * v.dot(n));
+  t.dashpot_work = (elastic - t.normal_force) * v.dot(n) * dt;
+  if (m.friction > 0) {
+    const Real3 s0 = real(old_spring);
+    const Real3 way = overlap < deepest_turn * (ri + rj) ? Real3(dt / distance * (centers - centers.dot(n) * n))
+                                                         : Real3(Real3::Zero());
+    const Real3 turned = s0 - s0.dot(n) * (n - way / 2);
+    const Real3 whole = turned + shear * dt * (v - v.dot(n) * n);
+    const Real limit = m.friction * t.normal_force, length = whole.norm();
+    t.spring = length > limit ? Real3(limit / length * whole) : whole;
+    if (length > limit) t.slip_work = (1 - limit / length) * (turned + t.spring).dot(whole) / (2 * shear);
+    t.shear_energy = t.spring.squaredNorm() / (2 * shear);
+  }
+  t.force_a = t.spring - t.normal_force * n;
+  t.torque_a = (point - xa).cross(t.force_a);
+  t.torque_b = -(point - xb).cross(t.force_a);
+  t.normal_energy = elastic * overlap / 2;
+  t.overlap_ratio = overlap / std::min(size_a, size_b);
+  return t;
+}
+
+// Pairs of bodies, each pair far from the others: bodies 2 k and 2 k + 1.
+struct Pairs {
+  Particles particles;
+  std::vector<PairContacts::Spring> springs;
+};
+
+enum class Gap { Any, Touching, Coincident };
+
+// Of pebbles on axes (both ways), or in random directions.
+Pairs random_pairs(int count, int pebbles, double size_ratio, Gap gap, Random& random) {
+  Pairs pairs;
+  const auto vector = [&](double size) -> Vec3 {
+    return size * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+  };
+  const ClumpTemplate shape = make_clump(pebbles, 1.5);
+  for (int k = 0; k < count; ++k) {
+    const double large = 0.03, small = large / random.uniform(1, size_ratio);
+    const Vec3 base(k % 8, k / 8 % 8, k / 64);
+    const bool swapped = k % 2 == 1;
+    const std::int32_t a = pairs.particles.add(shape, swapped ? small : large, 2650, base, random.rotation());
+    const std::int32_t b = pairs.particles.add(shape, swapped ? large : small, 2650, base, random.rotation());
+    // Opposite directions in turn, along axes and across.
+    Vec3 n = k % 3 == 0 ? Vec3(Vec3::Unit(k / 3 % 3)) : vector(1).normalized();
+    if (k / 9 % 2 == 1) n = -n;
+    const std::size_t i = pairs.particles.pebble_begin(a), j = pairs.particles.pebble_begin(b);
+    const double reach = pairs.particles.pebble_radius(i) + pairs.particles.pebble_radius(j);
+    double distance = reach * (1 - random.uniform(-1e-3, 0.3));
+    if (gap == Gap::Touching) distance = reach;
+    if (gap == Gap::Coincident) distance = 0;
+    pairs.particles.position(b) += pairs.particles.pebble_center(i) + distance * n - pairs.particles.pebble_center(j);
+    pairs.particles.place_pebbles(b);
+    if (gap == Gap::Coincident && pebbles == 1) pairs.particles.position(b) = base;
+    for (const std::int32_t body : {a, b}) {
+      pairs.particles.velocity(body) = vector(1);
+      pairs.particles.spin(body) = vector(20);
+    }
+  }
+  // A spring for every pebble pair, nearly across the normal.
+  const Particles& p = pairs.particles;
+  for (std::size_t k = 0; k < static_cast<std::size_t>(count); ++k)
+    for (std::int32_t i = p.pebble_begin(2 * k); i < p.pebble_end(2 * k); ++i)
+      for (std::int32_t j = p.pebble_begin(2 * k + 1); j < p.pebble_end(2 * k + 1); ++j)
+        pairs.springs.push_back({i, j, vector(1)});
+  return pairs;
+}
+
+// Largest differences, each over its natural size: k_n (r_i + r_j) and the spring for forces (overlaps are differences of
+// lengths of that size), times the radius for torques and energies.
+struct Differences {
+  double force = 0, torque = 0, spring = 0, sums = 0;
+  std::int64_t touching = 0, sliding = 0, pulling = 0;
+};
+
+Differences compare(Pairs& pairs, const GrainMaterial& material, double dt, InstructionSet set) {
+  Particles& p = pairs.particles;
+  PairContacts contacts(0.005, {}, set);
+  contacts.restore(p, pairs.springs);
+  contacts.update(p);
+  p.clear_forces();
+  const ContactTotals totals = contacts.compute(p, material, dt);
+  std::map<std::pair<std::int32_t, std::int32_t>, Vec3> after;
+  for (const auto& spring : contacts.springs()) after[{spring.i, spring.j}] = spring.force;
+
+  Differences worst;
+  const auto raise = [](double& most, Real error, Real scale) {
+    const double relative = static_cast<double>(std::abs(error) / scale);
+    if (!(relative <= most)) most = relative;  // not a number counts as worst
+  };
+  Real slip = 0, dashpots = 0, normal_energy = 0, shear_energy = 0, normal_force = 0, contact_force = 0, ratio = 0;
+  Real force_scale = 0, energy_scale = 0, ratio_scale = 1, slip_scale = 0;
+  for (std::size_t k = 0; k < p.body_count(); k += 2) {
+    Real3 force = Real3::Zero(), torque_a = Real3::Zero(), torque_b = Real3::Zero();
+    Real scale = 0, lever = 0;
+    const Real stiffness = material.normal_stiffness(p.equivalent_radius(k), p.equivalent_radius(k + 1));
+    for (const auto& old : pairs.springs) {
+      if (static_cast<std::size_t>(p.pebble_body(old.i)) != k) continue;
+      const PairTruth t = one_pair(p, old.i, old.j, old.force, material, dt);
+      const Vec3 spring = after.contains({old.i, old.j}) ? after[{old.i, old.j}] : Vec3(Vec3::Zero());
+      if (!t.touches) {
+        raise(worst.spring, spring.norm(), 1);  // a parted pair keeps none
+        continue;
+      }
+      const Real reach = p.pebble_radius(old.i) + p.pebble_radius(old.j);
+      const Real size = stiffness * reach + old.force.norm();
+      raise(worst.spring, (real(spring) - t.spring).norm(), size);
+      force += t.force_a, torque_a += t.torque_a, torque_b += t.torque_b;
+      scale += size, lever = 2 * reach;
+      ratio = std::max(ratio, t.overlap_ratio);
+      ratio_scale = std::max(ratio_scale,
+                             reach / static_cast<Real>(std::min(p.equivalent_radius(k), p.equivalent_radius(k + 1))));
+      slip += t.slip_work, dashpots += t.dashpot_work, normal_force += t.normal_force;
+      contact_force += t.force_a.norm(), normal_energy += t.normal_energy, shear_energy += t.shear_energy;
+      energy_scale += size * reach;
+      slip_scale +=
+          t.slip_work + (material.friction > 0 ? material.stiffness_ratio / stiffness * size * old.force.norm() : 0);
+      ++worst.touching;
+      worst.sliding += t.slip_work > 0;
+      worst.pulling += t.normal_force == 0;
+    }
+    if (scale == 0) continue;
+    force_scale += scale;
+    raise(worst.force, (real(p.force(k)) - force).norm(), scale);
+    raise(worst.force, (real(p.force(k + 1)) + force).norm(), scale);
+    raise(worst.torque, (real(p.torque(k)) - torque_a).norm(), scale * lever);
+    raise(worst.torque, (real(p.torque(k + 1)) - torque_b).norm(), scale * lever);
+  }
+  CHECK(totals.active == worst.touching);
+  raise(worst.sums, totals.normal_force - normal_force, force_scale);
+  raise(worst.sums, totals.contact_force - contact_force, force_scale);
+  raise(worst.sums, totals.normal_energy - normal_energy, energy_scale);
+  raise(worst.sums, totals.shear_energy - shear_energy, energy_scale + shear_energy);
+  raise(worst.sums, totals.slip_work - slip, energy_scale + slip_scale);
+  raise(worst.sums, totals.dashpot_work - dashpots, energy_scale + dashpots);
+  raise(worst.sums, totals.largest_overlap_ratio - ratio, ratio_scale);
+  return worst;
+}
+
+std::vector<InstructionSet> sets_of_this_machine() {
+  std::vector<InstructionSet> sets = {InstructionSet::Generic};
+  for (const InstructionSet set : {InstructionSet::Avx2, InstructionSet::Avx512})
+    if (set <= best_instructions()) sets.push_back(set);
+  return sets;
+}
+
+}  // namespace
+
+TEST_CASE("eight lanes give what one pair at a time gives, to round-off, for any shape, friction and stiffness") {
+  // A few dozen operations of 1.1e-16 each.
+  constexpr double round_off = 1e-14;
+  Random random(3);
+  Differences all;
+  for (const InstructionSet set : sets_of_this_machine())
+    for (const int pebbles : {1, 2, 3})
+      for (const double size_ratio : {1.0, 20.0})
+        for (const double friction : {0.0, 0.5, 1e3})
+          for (const double restitution : {1.0, 0.5})
+            for (const double modulus : {1e4, 1e8, 2e12}) {  // k_n from 3e2 to 1.2e11 N/m
+              Pairs pairs = random_pairs(27, pebbles, size_ratio, Gap::Any, random);
+              GrainMaterial material;
+              material.contact_modulus = modulus;
+              material.friction = friction;
+              material.damping_ratio = restitution < 1 ? damping_ratio(restitution) : 0;
+              const Differences d = compare(pairs, material, 1e-5, set);
+              CAPTURE(name_of(set), pebbles, size_ratio, friction, restitution, modulus, d.force, d.torque, d.spring,
+                      d.sums);
+              CHECK(d.touching >= 20);
+              CHECK(d.force < round_off);
+              CHECK(d.torque < round_off);
+              CHECK(d.spring < round_off);
+              CHECK(d.sums < round_off);
+              all.touching += d.touching, all.sliding += d.sliding, all.pulling += d.pulling;
+              all.force = std::max(all.force, d.force), all.torque = std::max(all.torque, d.torque);
+              all.spring = std::max(all.spring, d.spring), all.sums = std::max(all.sums, d.sums);
+            }
+  CAPTURE(all.touching, all.sliding, all.pulling, all.force, all.torque, all.spring, all.sums);
+  CHECK(all.sliding > 100);  // and not all
+  CHECK(all.sliding < all.touching / 2);
+  CHECK(all.pulling > 10);  // a dashpot would have pulled
+}
+
+TEST_CASE("pairs that just touch have no force, and coincident ones push each other along z") {
+  Random random(4);
+  for (const InstructionSet set : sets_of_this_machine())
+    for (const int pebbles : {1, 3}) {
+      GrainMaterial material;
+      material.contact_modulus = 1e8;
+      // A distance of r_i + r_j as rounded may come out a bit shorter or longer: an overlap of 1e-16 of a place near 8.
+      Pairs touching = random_pairs(64, pebbles, 20, Gap::Touching, random);
+      PairContacts contacts(0.005, {}, set);
+      contacts.update(touching.particles);
+      const ContactTotals totals = contacts.compute(touching.particles, material, 1e-5);
+      CAPTURE(name_of(set), pebbles, totals.active, totals.normal_force, totals.largest_overlap_ratio);
+      CHECK(std::isfinite(totals.contact_force));
+      if (pebbles == 1) CHECK(totals.largest_overlap_ratio < 1e-11);
+
+      Pairs coincident = random_pairs(27, 1, 20, Gap::Coincident, random);
+      for (auto& spring : coincident.springs) spring.force.z() = 0;  // across the normal that such a pair has
+      for (std::size_t b = 0; b < coincident.particles.body_count(); ++b) coincident.particles.velocity(b).setZero();
+      material.friction = 0.5;
+      const Differences d = compare(coincident, material, 1e-5, set);
+      CAPTURE(d.touching, d.force, d.torque, d.spring, d.sums);
+      CHECK(d.touching == 27);
+      CHECK(d.force < 1e-14);
+      CHECK(d.spring < 1e-14);
+      const Vec3 push = std::as_const(coincident.particles).force(0);
+      CHECK(push.z() < 0);
+      CHECK(std::abs(push.z()) > 100 * std::hypot(push.x(), push.y()));
+    }
+}
+
+TEST_CASE("the kernel's turn of a spring is the law's, to fourth order in the angle of a step") {
+  // A pair of spheres turns by theta about z in the step, centres a chord apart: delta_t = sin(theta) t, and the law's
+  // s - (n0 + n)(n . s)/(1 + n0 . n) = s - (n - tan(theta/2) t)(n . s). The kernel has sin(theta)/2 for tan(theta/2):
+  // theta^3/8 less, times n . s = |s| sin(theta) for a spring in the plane: theta^4/8 of the spring.
+  const double r = 0.03, dt = 1e-5, d = 1.999 * r;
+  GrainMaterial material;
+  material.friction = 1e3;
+  const auto error = [&](double theta) {
+    Particles p;
+    const Vec3 n0 = Vec3::UnitX(), n(std::cos(theta), std::sin(theta), 0), t0 = Vec3::UnitY();
+    p.add(make_clump(1, 1), r, 2650, Vec3::Zero(), Quat::Identity());
+    p.add(make_clump(1, 1), r, 2650, d * n, Quat::Identity());
+    p.velocity(1) = d / dt * (n - n0);
+    // Spins that keep the contact from shearing: d w = the velocity across n.
+    const double rate = std::sin(theta) / dt;
+    p.spin(0) = p.spin(1) = Vec3(0, 0, rate);
+    PairContacts contacts(0.005);
+    contacts.restore(p, {{0, 1, 2.0 * t0 + Vec3(0, 0, 3.0)}});
+    contacts.update(p);
+    contacts.compute(p, material, dt);
+    ContactHistory law{2.0 * t0 + Vec3(0, 0, 3.0), n0};
+    contact_force({1e6, 1e6, 1e9, 0, 0}, n, 1e-5, Vec3::Zero(), dt, law);
+    return (contacts.springs().at(0).force - law.spring).norm() / 2.0;
+  };
+  const double coarse = error(0.2), fine = error(0.1);
+  CAPTURE(coarse, fine, coarse / (std::pow(0.2, 4) / 8), fine / (std::pow(0.1, 4) / 8), std::log2(coarse / fine));
+  CHECK(std::log2(coarse / fine) == Approx(4).margin(0.1));
+  CHECK(fine / (std::pow(0.1, 4) / 8) == Approx(1).margin(0.02));
+}
+
+// ---------------------------------------------------------------------------------------- lists and rattlers
+
+namespace {
+
+// Touching pairs of pebbles, and the energy in their normal springs, from a search of all pairs.
+struct BruteForce {
+  std::int64_t touching = 0;
+  double energy = 0;  // [J]
+};
+
+BruteForce all_pairs(const Particles& p, const GrainMaterial& material) {
+  BruteForce sum;
+  const SphereRecord* pebbles = p.pebbles();
+  for (std::size_t i = 0; i < p.pebble_count(); ++i)
+    for (std::size_t j = i + 1; j < p.pebble_count(); ++j) {
+      const double x = pebbles[j].x - pebbles[i].x, y = pebbles[j].y - pebbles[i].y, z = pebbles[j].z - pebbles[i].z;
+      const double reach = pebbles[i].radius + pebbles[j].radius;
+      if (!(x * x + y * y + z * z < reach * reach) || p.pebble_body(i) == p.pebble_body(j)) continue;
+      const double overlap = reach - std::sqrt(x * x + y * y + z * z);
+      ++sum.touching;
+      sum.energy +=
+          0.5 * overlap * overlap *
+          material.normal_stiffness(p.equivalent_radius(p.pebble_body(i)), p.equivalent_radius(p.pebble_body(j)));
+    }
+  return sum;
+}
+
+}  // namespace
+
+TEST_CASE(
+    "no contact is ever missed: 2,000 steps of an agitated mixed crowd that grows, against a search of all pairs") {
+  FreeGrains world(0.002);
+  world.material.contact_modulus = 1e6;
+  Random random(9);
+  const ClumpTemplate sphere = make_clump(1, 1), clump = make_clump(3, 1.5);
+  for (int k = 0; k < 125; ++k) {
+    const double radius = k % 7 == 0 ? 0.05 : random.uniform(0.012, 0.03);
+    const std::int32_t b = world.particles.add(k % 2 ? clump : sphere, radius, 2650,
+                                               0.065 * Vec3(k % 5, k / 5 % 5, k / 25), random.rotation());
+    world.particles.spin(b) = Vec3(random.uniform(-9, 9), random.uniform(-9, 9), random.uniform(-9, 9));
+  }
+  const Vec3 middle = Vec3::Constant(0.13);
+  std::int64_t touches = 0;
+  int wrong = 0;
+  double worst = 0;
+  for (int k = 0; k < 2000; ++k) {
+    // Kicks now and then, of different strengths, keep it hot; a pull to the middle keeps it together.
+    for (std::size_t b = 0; b < world.particles.body_count(); ++b) {
+      if (random.uniform() < 0.01)
+        world.particles.velocity(b) +=
+            random.uniform(0, 3) * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+      world.particles.velocity(b) *= 0.998;
+      const Vec3 position = std::as_const(world.particles).position(b);
+      world.particles.velocity(b) += 0.02 * (middle - position);
+    }
+    // Growth in small steps, in one great one, and shrinking.
+    if (k > 500 && k < 900) world.particles.scale_all(1.0003);
+    if (k == 1000) world.particles.scale_all(1.06);
+    if (k > 1200 && k < 1300) world.particles.scale_all(0.999);
+    world.particles.clear_forces();
+    world.contacts.update(world.particles);
+    const BruteForce truth = all_pairs(world.particles, world.material);
+    world.totals = world.contacts.compute(world.particles, world.material, 5e-5);
+    wrong += world.totals.active != truth.touching;
+    worst = std::max(worst, std::abs(world.totals.normal_energy - truth.energy) / std::max(truth.energy, 1e-9));
+    touches += truth.touching;
+    integrate(world.particles, Vec3::Zero(), 5e-5, 5e-5, 0);
+  }
+  CAPTURE(touches / 2000, wrong, worst, world.contacts.refreshes(), world.contacts.rebuilds());
+  CHECK(touches / 2000 > 25);
+  CHECK(world.contacts.refreshes() > 100);
+  CHECK(world.contacts.refreshes() < 1500);
+  CHECK(world.contacts.rebuilds() > 10);
+  CHECK(wrong == 0);
+  CHECK(worst < 1e-11);
+}
+
+TEST_CASE("a rattler that flies in its cage renews the lists at most once a flight, not at each half skin") {
+  // 7 x 7 x 7 spheres at rest in touch, the middle one smaller by two skins: it flies to and fro over four skins, eight half
+  // skins of travel a flight. The first half skin makes it a fast one: from x skins off the middle, where the outer list
+  // was made, it may then go outer_skin_factor/2 - |x| skins. With 6 that is from 0.5 to -2, from -2 to -1, from -1 to 1
+  // and from 1 to -1 on the way back, once a flight; with 8 from 0.5 to -3, beyond its cage. The outer list is not used up.
+  const double r = 0.03, skin = 0.003, dt = 1e-5, speed = 5;
+  FreeGrains world(skin);
+  for (int k = 0; k < 343; ++k)
+    world.sphere(2 * r * Vec3(k % 7 - 3, k / 7 % 7 - 3, k / 49 - 3), k == 171 ? r - 2 * skin : r);
+  std::vector<char> fixed(343, 1);
+  fixed[171] = 0;
+  world.material.friction = 0;
+  world.particles.velocity(171) = Vec3(speed, 0, 0);
+  double way = 0;
+  int turns = 0;
+  for (int k = 0; k < 4000; ++k) {
+    world.contacts.update(world.particles);
+    world.contacts.compute(world.particles, world.material, dt);
+    const double before = world.particles.velocity(171).x();
+    integrate(world.particles, Vec3::Zero(), dt, dt, 0, {&fixed});
+    const double now = world.particles.velocity(171).x();
+    turns += before * now < 0;
+    way += std::abs(now) * dt;
+  }
+  const double half_skins = way / (0.5 * skin);
+  CAPTURE(turns, half_skins, world.contacts.refreshes(), world.contacts.rebuilds());
+  CHECK(turns > 10);
+  CHECK(half_skins > 80);
+  CHECK(world.contacts.refreshes() <= turns + 2);
+  CHECK(world.contacts.refreshes() < std::lround(half_skins / 6));
+  CHECK(world.contacts.rebuilds() == 1);
 }

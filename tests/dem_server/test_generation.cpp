@@ -3,8 +3,8 @@
 #include <ctime>
 
 #include "common/checks.hpp"
+#include "dem_server/generation.hpp"
 #include "dem_server/measure.hpp"
-#include "tests/dem_server/cubes.hpp"
 #include "tests/dem_server/free_grains.hpp"
 
 using namespace lockstep;
@@ -19,17 +19,10 @@ CubeRequest small_request() {
   return request;
 }
 
-// With the request that it comes from.
-const std::pair<CubeRequest, Cube>& small_cube_of_request() {
-  static const std::pair<CubeRequest, Cube> made = [] {
-    CubeRequest request = small_request();
-    Cube cube = first_cube(request);
-    return std::pair(request, std::move(cube));
-  }();
+const Cube& small_cube() {
+  static const Cube made = make_cube(small_request());
   return made;
 }
-
-const Cube& small_cube() { return small_cube_of_request().second; }
 
 std::uint64_t hash_of(const Cube& cube) {
   Hash h;
@@ -68,11 +61,62 @@ TEST_CASE("summed porosity is the porosity that sampling finds, overlap counted 
 }
 
 TEST_CASE("the same request gives the same bits and another seed another cube") {
-  auto [request, one] = small_cube_of_request();
-  const Cube two = make_cube(request);
-  CHECK(hash_of(one) == hash_of(two));
+  const std::uint64_t hash = hash_of(small_cube());
+  CubeRequest request = small_request();
+  CHECK(hash_of(make_cube(request)) == hash);
   ++request.seed;
-  CHECK(hash_of(first_cube(request)) != hash_of(one));
+  CHECK(hash_of(make_cube(request)) != hash);
+}
+
+// Two chunks of bodies for two threads: many short steps, which a busy machine makes slow.
+TEST_CASE("the number of threads changes no bit of a cube", "[.threads]") {
+  CubeRequest request = small_request();
+  request.grains = 300;
+  const std::uint64_t hash = hash_of(make_cube(request));
+  for (request.threads = 2; request.threads <= 3; ++request.threads) CHECK(hash_of(make_cube(request)) == hash);
+}
+
+TEST_CASE("seeds of small cubes meet the porosity that they promise") {
+  // Cubes of 60 to 250 grains come out up to 0.02 away from the table, and differently at each try: a search that only
+  // turns the friction gave up on one seed in ten. These lie in the middle and near both ends of what 3 pebbles reach.
+  struct Case {
+    int grains;
+    double porosity;
+    int seeds;
+  };
+  double worst = 0;
+  // At 0.43 the search begins with a friction of 0.39: a cube of one try with clearly less has been compacted.
+  int tries = 0, cubes = 0, compacted = 0;
+  for (const Case& c : {Case{60, 0.43, 10}, Case{150, 0.345, 1}, Case{150, 0.45, 2}, Case{250, 0.40, 1}})
+    for (int seed = 1; seed <= c.seeds; ++seed, ++cubes) {
+      CubeRequest request;
+      request.grains = c.grains, request.porosity = c.porosity, request.seed = static_cast<std::uint64_t>(seed);
+      const Cube cube = make_cube(request);
+      CAPTURE(c.grains, c.porosity, seed, cube.porosity, cube.tries, cube.preparation_friction);
+      CHECK(std::abs(cube.porosity - c.porosity) < 0.005);
+      CHECK(cube.pressure == Approx(request.pressure).epsilon(0.011));
+      worst = std::max(worst, std::abs(cube.porosity - c.porosity));
+      tries += cube.tries;
+      compacted += c.porosity == 0.43 && cube.tries == 1 && cube.preparation_friction < 0.37;
+    }
+  CAPTURE(worst, tries, cubes, compacted);
+  CHECK(compacted > 0);
+  CHECK(tries < 6 * cubes);
+}
+
+TEST_CASE("every number of pebbles packs, and its range lies between those of its neighbours") {
+  for (int pebbles = 1; pebbles <= 9; ++pebbles) {
+    CubeRequest request;
+    request.grains = 60, request.pebbles = pebbles, request.porosity = 0.42;
+    const Cube cube = make_cube(request);
+    CAPTURE(pebbles, cube.porosity, cube.preparation_friction, cube.tries);
+    CHECK(std::abs(cube.porosity - 0.42) < 0.005);
+    const auto in_a_clump = cube.particles.pebble_end(0) - cube.particles.pebble_begin(0);
+    CHECK(in_a_clump == pebbles);
+  }
+  const auto low = [](int pebbles) { return reachable_porosity(pebbles, 1.5).low; };
+  CHECK(low(4) == Approx(0.5 * (low(3) + low(5))).epsilon(1e-12));
+  CHECK(low(6) == Approx(0.75 * low(5) + 0.25 * low(9)).epsilon(1e-12));
 }
 
 TEST_CASE("a porosity out of reach is refused at once, with key, value, range and remedy") {
@@ -124,7 +168,7 @@ TEST_CASE("bench: steps per second", "[.bench]") {
     request.porosity = 0.40;
     request.grains = 500;
     request.released_pressure = 45e3;
-    const Cube cube = first_cube(request);
+    const Cube cube = make_cube(request);
     const Vec3 period = 3 * cube.period;
     FreeGrains world(0.05 * request.radius_mean, period);
     world.particles = tile(cube, Vec3::Zero(), period);
