@@ -39,8 +39,8 @@ void wall_contacts(Model& m) {
   m.wall_totals =
       m.walls.compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team, m.contacts.partition());
   if (m.pile)
-    m.pile_totals =
-        m.pile->compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team, m.contacts.partition());
+    m.pile_totals = m.pile->compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team,
+                                    m.contacts.partition());
 }
 
 void move(Model& m) {

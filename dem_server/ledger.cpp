@@ -44,8 +44,9 @@ void Ledger::book_energy(const Model& m) {
     now_.interface_work += interface;
     now_.friction += friction;
     now_.dashpots += dashpots;
-    work_done_ += std::abs(0.5 * (last_gravity_ + gravity)) + std::abs(0.5 * (last_boundary_ + boundary)) + std::abs(m.wall_totals.work) +
-                  std::abs(interface) + friction + dashpots + 0.5 * (last_damped_ + damped);
+    work_done_ += std::abs(0.5 * (last_gravity_ + gravity)) + std::abs(0.5 * (last_boundary_ + boundary)) +
+                  std::abs(m.wall_totals.work) + std::abs(interface) + friction + dashpots +
+                  0.5 * (last_damped_ + damped);
   }
   last_gravity_ = gravity;
   last_damped_ = damped;

@@ -20,7 +20,7 @@ LOCKSTEP_INLINE void add(Sum8* sums, int begin, const Lanes3& v) {
 
 // -alpha |F| sign(v), and zero where v is.
 LOCKSTEP_INLINE Lanes damping_part(Lanes force, Lanes velocity, double damping) {
-  const Mask sign = Mask{} + (1LL << 63);
+  const Mask sign = (Mask)(-Lanes{});  // of minus zero
   const Lanes signed_force = (Lanes)(((Mask)force & ~sign) | ((Mask)velocity & sign));
   return select(velocity == Lanes{}, Lanes{}, -damping * signed_force);
 }

@@ -242,28 +242,35 @@ void springs_section(const Io& io, State& springs) {
 }
 
 // The records as they stand, since what follows from them (the place of a pebble, the mass) was rounded on other ways.
-constexpr std::size_t sphere_numbers = 4, motion_numbers = 8, attitude_numbers = 8;
+constexpr std::size_t sphere_numbers = 4, motion_numbers = 8;
 
-void put_record(Writer& writer, const double* record, std::size_t numbers) {
-  for (std::size_t k = 0; k < numbers; ++k) writer.put(record[k]);
+template <class Record>
+using Numbers = std::array<double, sizeof(Record) / sizeof(double)>;
+
+template <class Record>
+void put_record(Writer& writer, const Record& record) {
+  for (const double number : std::bit_cast<Numbers<Record>>(record)) writer.put(number);
 }
 
-void get_record(Reader& reader, double* record, std::size_t numbers) {
-  for (std::size_t k = 0; k < numbers; ++k) reader.get(record[k]);
+template <class Record>
+Record get_record(Reader& reader) {
+  Numbers<Record> numbers{};
+  for (double& number : numbers) reader.get(number);
+  return std::bit_cast<Record>(numbers);
 }
 
 void put_particles(Writer& writer, Particles particles) {
   writer.put(static_cast<std::uint64_t>(particles.body_count()));
   writer.put(particles.has_clumps());
   for (std::size_t b = 0; b < particles.body_count(); ++b) {
-    put_record(writer, &particles.bodies()[b].x, sphere_numbers);
-    put_record(writer, &particles.motion()[b].vx, motion_numbers);
+    put_record(writer, particles.bodies()[b]);
+    put_record(writer, particles.motion()[b]);
     if (!particles.has_clumps()) continue;
-    put_record(writer, &particles.attitudes()[b].qx, attitude_numbers);
+    put_record(writer, particles.attitudes()[b]);
     writer.put(particles.pebble_end(b) - particles.pebble_begin(b));
     for (auto p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p) {
-      put_record(writer, &particles.offsets()[p].x, sphere_numbers);
-      put_record(writer, &particles.pebbles()[p].x, sphere_numbers);
+      put_record(writer, particles.offsets()[p]);
+      put_record(writer, particles.pebbles()[p]);
     }
   }
 }
@@ -276,23 +283,20 @@ void get_particles(Reader& reader, Particles& particles) {
   ClumpTemplate shape;
   shape.inertia_per_mass = has_clumps ? Vec3(1, 2, 3) : Vec3::Constant(1);  // of any clump, of any sphere
   for (std::size_t b = 0; b < bodies; ++b) {
-    SphereRecord place;
-    MotionRecord motion;
-    get_record(reader, &place.x, sphere_numbers);
-    get_record(reader, &motion.vx, motion_numbers);
+    const auto place = get_record<SphereRecord>(reader);
+    const auto motion = get_record<MotionRecord>(reader);
     if (!has_clumps) {
       shape.pebble_center = {Vec3::Zero()}, shape.pebble_radius = {1.0};
       particles.add(shape, 1, 1, Vec3::Zero(), Quat::Identity());
     } else {
-      AttitudeRecord attitude;
-      get_record(reader, &attitude.qx, attitude_numbers);
+      const auto attitude = get_record<AttitudeRecord>(reader);
       const std::size_t pebbles = reader.count(2 * sphere_numbers * word);
       shape.pebble_center.assign(pebbles, Vec3::Zero()), shape.pebble_radius.assign(pebbles, 1.0);
       particles.add(shape, 1, 1, Vec3::Zero(), Quat::Identity());
       particles.attitudes()[b] = attitude;
       for (auto p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p) {
-        get_record(reader, &particles.offsets()[p].x, sphere_numbers);
-        get_record(reader, &particles.pebbles()[p].x, sphere_numbers);
+        particles.offsets()[p] = get_record<SphereRecord>(reader);
+        particles.pebbles()[p] = get_record<SphereRecord>(reader);
       }
     }
     particles.bodies()[b] = place;

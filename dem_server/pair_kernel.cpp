@@ -112,7 +112,7 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
       for (int l = 0; l < width; ++l) rows[l] = row(&state.motion[b[l]].wx);
       const Lanes4 wb = transpose(rows);
       Lanes radii;  // sum of the equivalent radii
-      Lanes3 lever_a, lever_b;
+      Lanes3 lever_a{}, lever_b{};
       Lanes3 centers = {dv.x, dv.y, dv.z};  // velocity of pebble j less that of i
       Lanes arm_a, arm_b;
       if constexpr (has_clumps) {
