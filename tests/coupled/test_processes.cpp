@@ -533,7 +533,7 @@ TEST_CASE("what is wrong with a command line or a scene is said with key, value 
        {"pile.embedment = 2.5 m", "hole_depth = 2.2 m", "give less penetration or a deeper zone"}},
       {set("scenarios/oedometer", "grains.packing.porosity=0.25"),
        exit_input,
-       {"grains.packing.porosity = 0.25", "grains of 3 pebbles", "0.331 to 0.461"},
+       {"grains.packing.porosity = 0.25", "grains of 3 pebbles", "0.332 to 0.460"},
        true,
        false},
       {{"scenarios/nowhere"}, exit_io, {"scenarios/nowhere: cannot read the scene", "give a scene file"}},
