@@ -1,6 +1,4 @@
 #include <catch2/catch.hpp>
-#include <cstdio>
-#include <ctime>
 
 #include "common/checks.hpp"
 #include "dem_server/generation.hpp"
@@ -158,50 +156,4 @@ TEST_CASE("tiles fill a box with copies that fit together") {
   CAPTURE(totals.largest_overlap_ratio, reference.largest_overlap_ratio, totals.active, reference.active);
   CHECK(totals.largest_overlap_ratio < 1.001 * reference.largest_overlap_ratio + 1e-9);
   CHECK(totals.active > 6 * reference.active);
-}
-
-// Rate of the contact loop, the integrator and both, on a tiled packing under 50 kPa; prints one line a shape.
-TEST_CASE("bench: steps per second", "[.bench]") {
-  for (const int pebbles : {1, 3, 5}) {
-    CubeRequest request;
-    request.pebbles = pebbles;
-    request.porosity = 0.40;
-    request.grains = 500;
-    request.released_pressure = 45e3;
-    const Cube cube = make_cube(request);
-    const Vec3 period = 3 * cube.period;
-    FreeGrains world(0.05 * request.radius_mean, period);
-    world.particles = tile(cube, Vec3::Zero(), period);
-    world.damping = 0.7;
-    const double dt = 4e-5;
-    for (int k = 0; k < 50; ++k) world.step(dt);
-    std::array<double, 3> seconds = {};
-    // Processor time: the machine may be busy with other things.
-    const auto clock = [] { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; };
-    const int steps = 200;
-    for (int k = 0; k < steps; ++k) {
-      const auto t0 = clock();
-      world.particles.clear_forces();
-      world.contacts.update(world.particles);
-      const auto t1 = clock();
-      world.totals = world.contacts.compute(world.particles, world.material, dt);
-      const auto t2 = clock();
-      world.motion = integrate(world.particles, Vec3::Zero(), dt, dt, 0.7);
-      const auto t3 = clock();
-      seconds[0] += t1 - t0;
-      seconds[1] += t2 - t1;
-      seconds[2] += t3 - t2;
-    }
-    const double bodies = static_cast<double>(world.particles.body_count());
-    std::printf(
-        "%d pebbles, %.0f bodies, %.2f active and %.2f listed a body: %.2f M body-steps/s; ns a body-step: update "
-        "%.1f, "
-        "forces %.1f, motion %.1f; refreshes %lld, rebuilds %lld, hash %016llx\n",
-        pebbles, bodies, static_cast<double>(world.totals.active) / bodies,
-        static_cast<double>(world.contacts.entries()) / bodies,
-        1e-6 * bodies * steps / (seconds[0] + seconds[1] + seconds[2]), 1e9 * seconds[0] / bodies / steps,
-        1e9 * seconds[1] / bodies / steps, 1e9 * seconds[2] / bodies / steps,
-        static_cast<long long>(world.contacts.refreshes()), static_cast<long long>(world.contacts.rebuilds()),
-        static_cast<unsigned long long>(world.state_hash()));
-  }
 }
