@@ -141,7 +141,7 @@ void Particles::scale_all(double factor) {
 void Particles::append_copy(const Particles& from, std::size_t b, const Vec3& shift) {
   if (!has_clumps() && from.has_clumps()) become_clumps();
   const auto body = static_cast<std::int32_t>(body_count());
-  const auto moved = [&](SphereRecord r) -> SphereRecord {
+  const auto moved = [&](const SphereRecord& r) -> SphereRecord {
     return {r.x + shift.x(), r.y + shift.y(), r.z + shift.z(), r.radius};
   };
   push(bodies_, moved(from.bodies_[b]));
