@@ -118,10 +118,11 @@ void PairContacts::update(const Particles& particles, Team& team) {
   const bool is_shared_out = thread_chunk_.size() == static_cast<std::size_t>(team.size()) + 1;
   ++age_;
   if (has_lists_ && is_shared_out && !has_left(particles, team)) return;
+  const double ended_skin = skin_;
   if (has_lists_) adapt_skin();
   age_ = 0;
   if (!has_lists_ || is_outer_used_up(particles)) rebuild_outer(particles, team);
-  refresh_inner(particles, team);
+  refresh_inner(particles, ended_skin, team);
 }
 
 void PairContacts::adapt_skin() {
@@ -185,10 +186,11 @@ void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
   ++rebuilds_;
 }
 
-void PairContacts::refresh_inner(const Particles& particles, Team& team) {
+// `ended_skin` is that of the list that ends: a pebble that has used its half of it up is fast.
+void PairContacts::refresh_inner(const Particles& particles, double ended_skin, Team& team) {
   const std::size_t pebbles = particles.pebble_count();
   const SphereRecord* record = particles.pebbles();
-  const double calm = 0.5 * skin_ - (particles.growth() - growth_);
+  const double calm = 0.5 * ended_skin - (particles.growth() - growth_);
   const double outer_growth = particles.growth() - outer_growth_;
   const bool has_marks = marks_.size() == pebbles;
   marks_.resize(pebbles);
@@ -414,12 +416,6 @@ void PairContacts::clear_history() {
   outer_marks_.clear();
   thread_chunk_.clear();
   has_lists_ = false;
-}
-
-std::size_t PairContacts::entries() const {
-  std::size_t count = 0;
-  for (const Chunk& chunk : chunks_) count += chunk.count;
-  return count;
 }
 
 std::size_t PairContacts::memory() const {

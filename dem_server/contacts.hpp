@@ -102,7 +102,6 @@ class PairContacts {
 
   std::int64_t rebuilds() const { return rebuilds_; }    // of the outer list, from cells
   std::int64_t refreshes() const { return refreshes_; }  // of the inner list, from the outer one
-  std::size_t entries() const;                           // of the inner list
   std::size_t memory() const;                            // [bytes]
   InstructionSet instructions() const { return instructions_; }
 
@@ -131,7 +130,7 @@ class PairContacts {
   bool is_outer_used_up(const Particles& particles) const;
   void adapt_skin();
   void rebuild_outer(const Particles& particles, Team& team);
-  void refresh_inner(const Particles& particles, Team& team);
+  void refresh_inner(const Particles& particles, double ended_skin, Team& team);
   void fill_chunk(const Particles& particles, std::size_t chunk, Chunk& scratch);
   void fill_border(const Particles& particles, int thread);
   void share_out(const Particles& particles, int threads);

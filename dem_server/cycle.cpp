@@ -66,17 +66,17 @@ double first_touch_step(const Model& m, double damping) {
   return 2 / std::sqrt(largest * (1 + damping));
 }
 
-// A body that crosses half the smallest grain within a step has lost its contacts' control: instability, or absurd
+// A body that crosses half its radius within a step has lost its contacts' control: instability, or absurd
 // speed.
 void check_speed(const Model& m) {
   if (!m.motion.is_too_fast) return;
   const auto body = fastest_body(m.particles);
   const Vec3 x = m.particles.position(body);
+  const double speed = m.particles.velocity(body).norm();
   throw NumericalError(fmt::format(
       "step {}: grain {} at ({:.3g}, {:.3g}, {:.3g}) m moves at {:.3g} m/s, {:.2g} of its radius a step: the "
       "grains went unstable; lower fidelity.step_fraction, or the speeds that the scene imposes",
-      m.step, body, x.x(), x.y(), x.z(), m.motion.largest_speed,
-      m.motion.largest_speed * m.time_step / m.particles.equivalent_radius(body)));
+      m.step, body, x.x(), x.y(), x.z(), speed, speed * m.time_step / m.particles.equivalent_radius(body)));
 }
 
 void book(Model& m) {

@@ -69,6 +69,19 @@ class Boundary {
   virtual void take_forces(Model& model) = 0;
 };
 
+// Facets that nobody moves, and steps of one length.
+class Held : public Boundary {
+ public:
+  explicit Held(double step = 0) : time_step(step) {}
+  bool move_facets(Model& model) override {
+    model.time_step = time_step;
+    return true;
+  }
+  void take_forces(Model&) override {}
+
+  double time_step;  // [s]
+};
+
 // Advances from t_n to t_{n+1}; false when the boundary says that the run is over.
 bool cycle(Model& model, Boundary& boundary);
 

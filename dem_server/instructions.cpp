@@ -24,18 +24,20 @@ bool has(InstructionSet set) {
 
 }  // namespace
 
-InstructionSet best_instructions() {
-  for (const InstructionSet set : {InstructionSet::Avx512, InstructionSet::Avx2})
-    if (has(set)) return set;
-  return InstructionSet::Generic;
+std::vector<InstructionSet> known_instructions() {
+  std::vector<InstructionSet> sets;
+  for (const auto& [name, set] : names)
+    if (has(set)) sets.push_back(set);
+  return sets;
 }
+
+InstructionSet best_instructions() { return known_instructions().back(); }
 
 InstructionSet instructions_by_name(std::string_view name) {
   std::string here;
-  for (const auto& [known, set] : names) {
-    if (!has(set)) continue;
-    if (known == name) return set;
-    here += (here.empty() ? "" : ", ") + std::string(known);
+  for (const InstructionSet set : known_instructions()) {
+    if (name_of(set) == name) return set;
+    here += (here.empty() ? "" : ", ") + std::string(name_of(set));
   }
   throw InputError(fmt::format("instructions {}: no such set on this machine; it has {}", name, here));
 }

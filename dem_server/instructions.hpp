@@ -1,12 +1,14 @@
 // Which instructions the kernels use. All give the same bits.
 #pragma once
 #include <string_view>
+#include <vector>
 
 namespace lockstep::dem {
 
 enum class InstructionSet { Generic, Avx2, Avx512 };
 
-// The best that this machine has.
+// Those of this machine, the best last.
+std::vector<InstructionSet> known_instructions();
 InstructionSet best_instructions();
 // Names: generic, avx2, avx512. InputError, naming those that this machine has, when it lacks it.
 InstructionSet instructions_by_name(std::string_view name);

@@ -1,13 +1,13 @@
 #include "dem_server/motion_kernel.hpp"
 
+#include "dem_server/constants.hpp"
 #include "dem_server/lanes.hpp"
 
 namespace lockstep::dem {
 
 namespace {
 
-constexpr double sphere_moment = 0.4;  // I / (m R^2)
-constexpr double largest_square = 1e300;
+constexpr double largest_square = 1e300;  // [rad2/s2]: more is no number
 
 struct Sums {
   Sum8 translation, rotation, gravity_work, damped_work, contact_work, unbalanced, mass, square;
@@ -162,8 +162,8 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   const Lanes3 spin = {w.x, w.y, w.z}, pure_torque = select(moves, {t.x, t.y, t.z}, none);
   const Lanes3 torque_damping = damping_part(pure_torque, spin, step.damping);
   const Lanes3 torque = pure_torque + torque_damping;
-  const Lanes moment = sphere_moment * mass * place.w * place.w;
-  Lanes3 next_spin = spin + (dt * (mobility / (sphere_moment * place.w * place.w))) * torque;
+  const Lanes moment = sphere_inertia * mass * place.w * place.w;
+  Lanes3 next_spin = spin + (dt * (mobility / (sphere_inertia * place.w * place.w))) * torque;
   Lanes3 middle = lanes(0.5) * (spin + next_spin);  // mean of the spins before and after, at the attitude of t_n
   Lanes rotation_energy = 0.5 * moment * dot(spin, next_spin);
   Rotation rotation;

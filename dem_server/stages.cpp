@@ -27,17 +27,6 @@ using Clock = std::chrono::steady_clock;
 
 double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
 
-// Facets that neither the peer nor a servo moves: relaxing the packing after the cut.
-class Held : public Boundary {
- public:
-  double time_step = 0;  // [s]
-  bool move_facets(Model& m) override {
-    m.time_step = time_step;
-    return true;
-  }
-  void take_forces(Model&) override {}
-};
-
 // What the bottom carries in stage Balance, against what smooth sides leave it to carry.
 struct BottomBalance {
   double force = 0;   // of the bottom [N]

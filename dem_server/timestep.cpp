@@ -49,7 +49,6 @@ double largest_eigenvalue_bound(const Matrix& d) {
 
 void StiffnessSum::reset(std::size_t bodies) {
   diagonal_.assign(bodies, Mat6::Zero());
-  neighbors_.assign(bodies, 0.0);
   couplings_.clear();
 }
 
@@ -74,13 +73,7 @@ void StiffnessSum::add_levers(const ContactView& contact, const Particles& parti
   diagonal_[b] += h_b.transpose() * h_b;
   const double product = std::sqrt(largest_eigenvalue_bound<Mat3>(h_a * h_a.transpose()) *
                                    largest_eigenvalue_bound<Mat3>(h_b * h_b.transpose()));
-  neighbors_[a] += product;
-  neighbors_[b] += product;
   couplings_.push_back({a, b, product});
-}
-
-double StiffnessSum::squared_frequency(std::int32_t body) const {
-  return largest_eigenvalue_bound<Mat6>(diagonal_[body]) + neighbors_[body];
 }
 
 double StiffnessSum::stable_step(double damping, std::int32_t* worst_body) const {

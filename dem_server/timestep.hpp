@@ -30,15 +30,12 @@ class StiffnessSum {
   // Stable step [s], infinite without contacts; `worst_body` (may be null) is set to the body that limits it, -1 if
   // none.
   double stable_step(double damping, std::int32_t* worst_body = nullptr) const;
-  // Gershgorin's bound of omega^2 of the row of one body, without scaling [1/s2].
-  double squared_frequency(std::int32_t body) const;
 
  private:
   void add_levers(const ContactView& contact, const Particles& particles, const Vec3& lever_a, const Vec3& lever_b);
 
   using Mat6 = Eigen::Matrix<double, 6, 6>;
-  std::vector<Mat6> diagonal_;     // [1/s2]
-  std::vector<double> neighbors_;  // sum of a_c b_c [1/s2]
+  std::vector<Mat6> diagonal_;  // [1/s2]
   struct Coupling {
     std::int32_t a, b;
     double strength;  // a_c b_c [1/s2]

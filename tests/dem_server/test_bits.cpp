@@ -150,13 +150,6 @@ class Run {
   int step_ = 0;
 };
 
-std::vector<InstructionSet> sets_of_this_machine() {
-  std::vector<InstructionSet> sets = {InstructionSet::Generic};
-  for (const InstructionSet set : {InstructionSet::Avx2, InstructionSet::Avx512})
-    if (set <= best_instructions()) sets.push_back(set);
-  return sets;
-}
-
 }  // namespace
 
 TEST_CASE("one, two, three and eight threads give the same bits, state and totals, over thousands of steps") {
@@ -206,7 +199,7 @@ TEST_CASE("every instruction set of this machine gives the same bits, state and 
     constexpr int steps = 5 * period;
     const auto generic = squeezed(crowd, 1, InstructionSet::Generic);
     const Bits truth = Run(*generic).after(steps);
-    for (const InstructionSet set : sets_of_this_machine()) {
+    for (const InstructionSet set : known_instructions()) {
       const auto model = squeezed(crowd, 2, set);
       CAPTURE(static_cast<int>(crowd), name_of(set));
       CHECK((Run(*model).after(steps) == truth));

@@ -525,13 +525,6 @@ Differences compare(Pairs& pairs, const GrainMaterial& material, double dt, Inst
   return worst;
 }
 
-std::vector<InstructionSet> sets_of_this_machine() {
-  std::vector<InstructionSet> sets = {InstructionSet::Generic};
-  for (const InstructionSet set : {InstructionSet::Avx2, InstructionSet::Avx512})
-    if (set <= best_instructions()) sets.push_back(set);
-  return sets;
-}
-
 }  // namespace
 
 TEST_CASE("eight lanes give what one pair at a time gives, to round-off, for any shape, friction and stiffness") {
@@ -539,7 +532,7 @@ TEST_CASE("eight lanes give what one pair at a time gives, to round-off, for any
   constexpr double round_off = 1e-14;
   Random random(3);
   Differences all;
-  for (const InstructionSet set : sets_of_this_machine())
+  for (const InstructionSet set : known_instructions())
     for (const int pebbles : {1, 2, 3})
       for (const double size_ratio : {1.0, 20.0})
         for (const double friction : {0.0, 0.5, 1e3})
@@ -570,7 +563,7 @@ TEST_CASE("eight lanes give what one pair at a time gives, to round-off, for any
 
 TEST_CASE("pairs that just touch have no force, and coincident ones push each other along z") {
   Random random(4);
-  for (const InstructionSet set : sets_of_this_machine())
+  for (const InstructionSet set : known_instructions())
     for (const int pebbles : {1, 3}) {
       GrainMaterial material;
       material.contact_modulus = 1e8;

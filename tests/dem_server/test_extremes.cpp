@@ -56,19 +56,6 @@ int differences(const Particles& p, double reach) {
   return different;
 }
 
-class Steady : public Boundary {
- public:
-  explicit Steady(double step) : step_(step) {}
-  bool move_facets(Model& model) override {
-    model.time_step = step_;
-    return true;
-  }
-  void take_forces(Model&) override {}
-
- private:
-  double step_;  // [s]
-};
-
 }  // namespace
 
 TEST_CASE("cells find what a search of all pairs finds, sizes 1 : 20, spheres and clumps, close or scattered") {
@@ -146,7 +133,7 @@ TEST_CASE("sizes 1 : 20 pour and come to rest on a floor, on their own weight to
   }
   // k of the smallest with the largest, on the smallest's mass: the fastest of all.
   const double lightest = model.particles.lightest();
-  Steady boundary(0.3 * std::sqrt(lightest / model.material.normal_stiffness(0.1, 0.005)));
+  Held boundary(0.3 * std::sqrt(lightest / model.material.normal_stiffness(0.1, 0.005)));
   double carried = 0, largest_overlap = 0;
   const int steps = 40000, last = 4000;
   for (int k = 0; k < steps; ++k) {
@@ -172,7 +159,7 @@ TEST_CASE("none, one and two grains step like many, with any number of threads")
         model.gravity = Vec3(0, 0, -10);
         for (int k = 0; k < count; ++k)
           model.particles.add(make_clump(pebbles, 1.5), 0.03, density, Vec3(k, 0, 0), Quat::Identity());
-        Steady boundary(1e-3);
+        Held boundary(1e-3);
         for (int k = 0; k < 30; ++k) REQUIRE(cycle(model, boundary));
         CAPTURE(threads, count, pebbles);
         CHECK(model.pair_totals.active == 0);
@@ -284,7 +271,7 @@ TEST_CASE("a velocity or a spin that is no number stops the cycle at once with t
     };
     CAPTURE(pebbles);
     const double nan = std::numeric_limits<double>::quiet_NaN();
-    Steady boundary(1e-4);
+    Held boundary(1e-4);
     const auto apart = crowd(0.12), touching = crowd(0.0599);
     for (Model* model : {apart.get(), touching.get()}) cycle(*model, boundary);
     const auto spinning = crowd(0.12);
@@ -350,7 +337,7 @@ TEST_CASE("a pile rammed through a packing at 100 m/s is an error in words, or a
       model.material.damping_ratio = damping_ratio(0.5);
       model.pile.emplace(PileShape{0.125}, 0.0, 1.0);
       model.pile->set_velocity(-speed);
-      Steady boundary(1e-5);
+      Held boundary(1e-5);
       std::string words;
       int steps = 0;
       try {
@@ -385,7 +372,7 @@ TEST_CASE("a million spheres on a lattice fit and step", "[.big]") {
                         Quat::Identity());
   model.gravity = Vec3(0, 0, -9.81);
   const double mass = model.particles.mass(0), stiffness = model.material.normal_stiffness(size, size);
-  Steady boundary(0.1 * std::sqrt(mass / stiffness));
+  Held boundary(0.1 * std::sqrt(mass / stiffness));
   const auto added = clock();
   cycle(model, boundary);
   const auto first = clock();

@@ -46,19 +46,6 @@ Settings settings_of(const std::string& measure) {
       "grains { pebbles: 1 grain { } } output { history_interval: 1 } measure { " + measure + " }", "test"));
 }
 
-class Held : public Boundary {
- public:
-  explicit Held(double step) : step_(step) {}
-  bool move_facets(Model& m) override {
-    m.time_step = step_;
-    return true;
-  }
-  void take_forces(Model&) override {}
-
- private:
-  double step_;  // [s]
-};
-
 // A cubic lattice of spheres a unit of 0.1 m apart, pressed by an overlap.
 Model lattice(double overlap) {
   Model m(0.002);

@@ -29,15 +29,6 @@ struct Folder {
   ~Folder() { fs::remove_all(path); }
 };
 
-class Held : public Boundary {
- public:
-  bool move_facets(Model& m) override {
-    m.time_step = 5e-5;
-    return true;
-  }
-  void take_forces(Model&) override {}
-};
-
 constexpr double radius = 0.03;  // mean [m]
 
 // A bowl for some grains: a floor of four facets, two rough planes one of which moves, and a pile in the middle.
@@ -72,7 +63,7 @@ Model make_heap() {
   Vec3s offsets;  // as a servo leaves them
   for (std::size_t k = 0; k < m.facets.node_count(); ++k) offsets.emplace_back(0, 0, 1e-4 * static_cast<double>(k));
   m.facets.set_offsets(offsets);
-  Held held;
+  Held held(5e-5);
   evaluate_forces(m);
   for (int n = 0; n < 1500 || (n < 4000 && m.pile->contacts().empty()); ++n) cycle(m, held);
   return m;
@@ -156,7 +147,7 @@ TEST_CASE("a packing that was written and read has the same state and the same f
     // The run that goes on against the runs that begin with the file.
     evaluate_forces(two), evaluate_forces(reference);
     two.last_time_step = reference.last_time_step = one.last_time_step;
-    Held held;
+    Held held(5e-5);
     for (int n = 0; n < 300; ++n) cycle(two, held), cycle(reference, held);
     CHECK(two.hash() == reference.hash());
     CHECK(two.hash() != one.hash());  // they have moved
@@ -173,7 +164,7 @@ TEST_CASE("the run that wrote a packing goes on as the run that reads it") {
     evaluate_forces(*m);
     m->step = 0, m->time = 0, m->last_time_step = 0;
   }
-  Held held;
+  Held held(5e-5);
   for (int n = 0; n < 300; ++n) cycle(one, held), cycle(two, held);
   CHECK(one.hash() == two.hash());
 }

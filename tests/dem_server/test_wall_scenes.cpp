@@ -27,19 +27,6 @@ std::string complaint_about(const std::string& blocks) {
   return "no complaint";
 }
 
-class Held : public Boundary {
- public:
-  explicit Held(double step) : step_(step) {}
-  bool move_facets(Model& m) override {
-    m.time_step = step_;
-    return true;
-  }
-  void take_forces(Model&) override {}
-
- private:
-  double step_;  // [s]
-};
-
 }  // namespace
 
 TEST_CASE("A scene's wall blocks become walls of each shape, and plane blocks stay planes") {
