@@ -1,6 +1,5 @@
-// How the contact forces are shared out: their distribution about the mean, the
-// strong ones, and how much of the friction they use. Of the pairs of grains; a
-// histogram is a list of bins with the counts in them.
+// How the contact forces are shared out: their distribution about the mean, the strong ones, and how much of the
+// friction they use. Of the pairs of grains; a histogram is a list of bins with the counts in them.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -14,16 +13,14 @@ namespace lockstep::dem {
 inline double normal_force_of(const ContactView& c) { return -c.force_on_a.dot(c.normal); }
 inline Vec3 shear_force_of(const ContactView& c) { return c.force_on_a + normal_force_of(c) * c.normal; }
 
-// |F_s| / (mu F_n), 1 when sliding [-]. Zero where friction cannot hold
-// anything.
+// |F_s| / (mu F_n), 1 when sliding [-]. Zero where friction cannot hold anything.
 double mobilisation_of(const ContactView& contact, double friction);
 
 struct Histogram {
   double bin_width = 0;
   std::vector<std::size_t> counts;  // of [n w, (n + 1) w)
   std::size_t total() const;
-  // Share of the values in bin n over the bin's width: the bins' areas sum
-  // to 1. Zero without values.
+  // Share of the values in bin n over the bin's width: the bins' areas sum to 1. Zero without values.
   double density(std::size_t n) const;
 };
 
@@ -40,8 +37,7 @@ struct ForceNetwork {
   Histogram mobilisation;         // twenty bins from 0 to 1, sliding ones in the last
 };
 
-// `friction` is that of the contacts. Contacts with walls, and such that do not
-// press, are left out.
+// `friction` is that of the contacts. Contacts with walls, and such that do not press, are left out.
 ForceNetwork force_network(std::span<const ContactView> contacts, double friction);
 
 }  // namespace lockstep::dem

@@ -1,20 +1,14 @@
-// Mean stress of a region, tension positive (Love, Weber), and what a stress is
-// worth.
+// Mean stress of a region, tension positive (Love, Weber), and what a stress is worth.
 //
-// A contact's force goes through the grains from centre to centre: from A's
-// centre to the contact point and on to B's, or to the wall, pile or facet and
-// out. The stress that this carries is the force along that way,
-//   sigma = 1/V sum over contacts of f_A (x) l,      f_A on A, l the way from A
-//   towards B,
-// and a region has of it what lies in it (Goldhirsch, Granular Matter 12, 2010,
-// for a region in place of his smooth weight). So neighbouring regions share a
-// contact by length, the regions of a grid sum up to the whole, and a chain
-// under a force F has F over the section in each region it runs through,
-// wherever the region begins. Rejected: giving the whole contact to the region
-// that holds its point, which errs by a contact at each border.
+// A contact's force goes through the grains from centre to centre: from A's centre to the contact point and on to B's,
+// or to the wall, pile or facet and out. The stress that this carries is the force along that way,
+//   sigma = 1/V sum over contacts of f_A (x) l,      f_A on A, l the way from A towards B,
+// and a region has of it what lies in it (Goldhirsch, Granular Matter 12, 2010, for a region in place of his smooth
+// weight). So neighbouring regions share a contact by length, the regions of a grid sum up to the whole, and a chain
+// under a force F has F over the section in each region it runs through, wherever the region begins. Rejected: giving
+// the whole contact to the region that holds its point, which errs by a contact at each border.
 //
-// The tensor is made symmetric: grains in motion, or with torques not at rest,
-// have a little that is not.
+// The tensor is made symmetric: grains in motion, or with torques not at rest, have a little that is not.
 #pragma once
 #include <vector>
 
@@ -38,8 +32,7 @@ inline double pressure_of(const Voigt& s) { return -(s[0] + s[1] + s[2]) / 3; }
 // q = sqrt(3 J2): the difference of the two stresses of a triaxial test [Pa].
 double deviator_of(const Voigt& stress);
 
-// Visits the straight pieces (begin, end) of the way that a contact's force
-// takes, from A on.
+// Visits the straight pieces (begin, end) of the way that a contact's force takes, from A on.
 template <class Visitor>
 void for_each_arm(const ContactView& contact, const Particles& particles, Visitor&& visit) {
   visit(particles.position(contact.body_a), contact.point);

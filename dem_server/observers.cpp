@@ -63,8 +63,7 @@ PartnerCounts partners_of(const Model& m, const ContactSurvey& seen) {
   return coordination.partners();
 }
 
-// What the packing may fill, or the pebbles' own extent in scenes without a
-// container.
+// What the packing may fill, or the pebbles' own extent in scenes without a container.
 Box extent_of(const Model& m, const Settings& settings) {
   if (settings.packing) {
     const Container& c = settings.packing->container;
@@ -103,8 +102,7 @@ void write_histogram(const std::filesystem::path& path, const std::string& what,
 
 }  // namespace
 
-// -------------------------------------------------------------------------------------------------
-// what is seen
+// -------------------------------------------------------------------------------------------------------- what is seen
 
 ContactSurvey survey(const Model& m) {
   ContactSurvey seen;
@@ -126,8 +124,7 @@ Room room_of(const Model& m, const Settings& settings) {
   };
 }
 
-// ----------------------------------------------------------------------------------------------
-// tracked grains
+// ------------------------------------------------------------------------------------------------------ tracked grains
 
 TrackedGrain::TrackedGrain(const Particles& particles, std::int32_t body)
     : body_(body), start_(particles.position(body)), start_attitude_(particles.orientation(body)) {}
@@ -165,8 +162,7 @@ std::int32_t find_tracked(const TrackedSettings& tracked, const Particles& parti
   return static_cast<std::int32_t>(nearest);
 }
 
-// -------------------------------------------------------------------------------------------------------
-// begin
+// --------------------------------------------------------------------------------------------------------------- begin
 
 Observers::Observers(const Settings& settings, std::filesystem::path folder)
     : settings_(settings), folder_(std::move(folder)) {}
@@ -215,8 +211,7 @@ void Observers::begin(const Model& m) {
   }
 }
 
-// --------------------------------------------------------------------------------------------------------
-// rows
+// ---------------------------------------------------------------------------------------------------------------- rows
 
 void Observers::record(const Model& m, double s_over_d) {
   const Stopwatch timing(seconds_);
@@ -304,8 +299,7 @@ void Observers::record_tracked(const Model& m, const ContactSurvey& seen, double
   }
 }
 
-// ---------------------------------------------------------------------------------------------------
-// snapshots
+// ----------------------------------------------------------------------------------------------------------- snapshots
 
 void Observers::snapshot(const Model& m, int number) {
   const Stopwatch timing(seconds_);

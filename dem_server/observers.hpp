@@ -1,15 +1,11 @@
-// What a scene's block `measure` asks for, taken from the running model and
-// written to files:
-//   ball_N.csv                                   a row every measure.interval
-//   steps: porosity, stress, coordination, fabric fabric.csv, forces.csv the
-//   same rows for all grains tracked_N.csv                                a row
-//   every output.history_interval steps grid_N_MMMM.vtu, grid_N.pvd with each
-//   snapshot coordination_MMMM.csv, forces_MMMM.csv, mobilisation_MMMM.csv
-//                                                with each snapshot
-// It only looks: a run with it and one without it have the same bits. After a
-// step grains stand at t_{n+1}: contacts of grains are those that overlap
-// there, with the shear springs of t_n; contacts with facets, walls and pile
-// are of t_n. The difference is one step's travel.
+// What a scene's block `measure` asks for, taken from the running model and written to files:
+//   ball_N.csv                     a row every measure.interval steps: porosity, stress, coordination, fabric
+//   fabric.csv, forces.csv         the same rows for all grains
+//   tracked_N.csv                  a row every output.history_interval steps
+//   grid_N_MMMM.vtu, grid_N.pvd, coordination_MMMM.csv, forces_MMMM.csv, mobilisation_MMMM.csv       with each snapshot
+// It only looks: a run with it and one without it have the same bits. After a step grains stand at t_{n+1}: contacts
+// of grains are those that overlap there, with the shear springs of t_n; contacts with facets, walls and pile are of
+// t_n. The difference is one step's travel.
 #pragma once
 #include <filesystem>
 #include <memory>
@@ -31,13 +27,12 @@ struct ContactSurvey {
 };
 ContactSurvey survey(const Model& model);
 
-// Where grains could be: inside the packing's container and the planes, outside
-// the pile as it stands now. `model` must outlive what is returned.
+// Where grains could be: inside the packing's container and the planes, outside the pile as it stands now. `model`
+// must outlive what is returned.
 Room room_of(const Model& model, const Settings& settings);
 
-// A grain whose way is followed. The turn since the start is the product of all
-// turns spin times step; that of a clump is read from its attitude, which is
-// the same but for round-off.
+// A grain whose way is followed. The turn since the start is the product of all turns spin times step; that of a clump
+// is read from its attitude, which is the same but for round-off.
 class TrackedGrain {
  public:
   TrackedGrain(const Particles& particles, std::int32_t body);
@@ -55,21 +50,18 @@ class TrackedGrain {
   Quat turned_ = Quat::Identity();  // of a sphere, which has no attitude
 };
 
-// The body that a scene means. InputError when there is none of that number, or
-// no body at all.
+// The body that a scene means. InputError when there is none of that number, or no body at all.
 std::int32_t find_tracked(const TrackedSettings& tracked, const Particles& particles);
 
-// Cells of a grid with a room of at least `least_room`, as a ParaView file:
-// porosity [-], room [-], stress (symmetric tensor, tension positive), pressure
-// and deviator [Pa], contacts.
+// Cells of a grid with a room of at least `least_room`, as a ParaView file: porosity [-], room [-], stress (symmetric
+// tensor, tension positive), pressure and deviator [Pa], contacts.
 inline constexpr double least_room = 0.25;  // a sliver of room beside the pile holds a part of one grain: no mean
 void write_grid(const std::filesystem::path& path, const CellGrid& grid, const std::vector<RegionSolid>& solid,
                 const StressField& stress);
 
 class Observers {
  public:
-  // Files are opened at the first call of record or snapshot, when there are
-  // grains to look at.
+  // Files are opened at the first call of record or snapshot, when there are grains to look at.
   Observers(const Settings& settings, std::filesystem::path folder);
   ~Observers();
 

@@ -7,8 +7,7 @@
 
 namespace lockstep::dem {
 
-// -----------------------------------------------------------------------------------------------------
-// points
+// -------------------------------------------------------------------------------------------------------------- points
 
 SolidPoints::SolidPoints(const Particles& particles, const Box& bounds, const std::array<std::int64_t, 3>& count)
     : bounds_(bounds), count_(count) {
@@ -63,8 +62,7 @@ struct PointCount {
   }
 };
 
-// Of the points that `is_inside` accepts: all, those in the room, and the solid
-// ones among them.
+// Of the points that `is_inside` accepts: all, those in the room, and the solid ones among them.
 template <class Inside>
 PointCount count_points(const Particles& particles, const Box& bounds, double spacing, const Inside& is_inside,
                         const Room& room) {
@@ -123,8 +121,7 @@ double porosity(const Particles& particles, const Ball& region, double spacing) 
       spacing);
 }
 
-// ----------------------------------------------------------------------------------------------------
-// shares
+// -------------------------------------------------------------------------------------------------------------- shares
 
 RegionSolid solid_share(const Particles& particles, std::span<const ContactView> contacts, const Ball& ball,
                         double spacing, const Room& room) {
@@ -136,8 +133,7 @@ RegionSolid solid_share(const Particles& particles, std::span<const ContactView>
 
 namespace {
 
-// Spheres and lenses, each to the cells that they are in: shares of the cells'
-// volume.
+// Spheres and lenses, each to the cells that they are in: shares of the cells' volume.
 std::vector<double> solid_of_spheres_by_cell(const Particles& particles, std::span<const ContactView> contacts,
                                              const CellGrid& grid) {
   std::vector<double> solid(grid.size(), 0);

@@ -1,19 +1,14 @@
-// Porosity: the share of a region's room that no pebble covers, overlaps
-// counted once.
+// Porosity: the share of a region's room that no pebble covers, overlaps counted once.
 //
 // Two ways to count the solid.
-//   spheres: the part of each sphere in the region, exact, less the lens that
-//   two spheres share (each lens belongs to
-//            the region that holds its contact point). What is left out is what
-//            three spheres share.
-//   clumps:  their pebbles overlap by design, so points are counted: equal
-//   bricks fill the region, and the brick's
-//            middle is in a pebble or is not. In a cell of volume V with solid
-//            surface S, points h apart err by about 0.2 h^2 sqrt(S) / V; the
-//            README has the figure as measured.
+//   spheres: the part of each sphere in the region, exact, less the lens that two spheres share (each lens belongs to the
+//            region that holds its contact point). What is left out is what three spheres share.
+//   clumps:  their pebbles overlap by design, so points are counted: equal bricks fill the region, and the brick's middle
+//            is in a pebble or is not. In a cell of volume V with solid surface S, points h apart err by about
+//            0.2 h^2 sqrt(S) / V; the README has the figure as measured.
 //
-// The room is what grains could fill: the region less pile, walls and ground.
-// Where these cut a region points are counted even for spheres.
+// The room is what grains could fill: the region less pile, walls and ground. Where these cut a region points are
+// counted even for spheres.
 #pragma once
 #include <functional>
 #include <span>
@@ -52,15 +47,13 @@ class SolidPoints {
   std::vector<char> is_solid_;
 };
 
-// By points `spacing` [m] apart. A spacing of R/8 gives 0.002 on 100 grains.
-// InputError if the region holds no point.
+// By points `spacing` [m] apart. A spacing of R/8 gives 0.002 on 100 grains. InputError if the region holds no point.
 double porosity(const Particles& particles, const Box& region, double spacing);
 double porosity(const Particles& particles, const Ball& region, double spacing);
 // In the part of the box that `is_inside` accepts (a ring, a wedge, a sleeve).
 double porosity(const Particles& particles, const Box& bounds, double spacing, const Room& is_inside);
 
-// Volume of spheres in a region, overlaps of two counted once [m3]. `contacts`
-// are the touching pairs; no clumps.
+// Volume of spheres in a region, overlaps of two counted once [m3]. `contacts` are the touching pairs; no clumps.
 template <class Region>
 double solid_of_spheres(const Particles& particles, std::span<const ContactView> contacts, const Region& region) {
   double sum = 0;
@@ -78,16 +71,15 @@ struct RegionSolid {
   double porosity() const { return 1 - solid; }
 };
 
-// In a ball: exact for spheres where the whole ball is room, else by points
-// `spacing` [m] apart. A ball without room has room 0 and solid 0.
+// In a ball: exact for spheres where the whole ball is room, else by points `spacing` [m] apart. A ball without room
+// has room 0 and solid 0.
 RegionSolid solid_share(const Particles& particles, std::span<const ContactView> contacts, const Ball& ball,
                         double spacing, const Room& room);
 // In each cell of a grid, in the same ways.
 std::vector<RegionSolid> solid_shares(const Particles& particles, std::span<const ContactView> contacts,
                                       const CellGrid& grid, double spacing, const Room& room);
 
-// Volume of the bodies' shapes: mass over density is what a scene knows;
-// equivalent radius is what a body knows [m3].
+// Volume of the bodies' shapes: mass over density is what a scene knows; equivalent radius is what a body knows [m3].
 double solid_volume(const Particles& particles);
 
 }  // namespace lockstep::dem

@@ -4,8 +4,7 @@
 
 namespace lockstep::dem {
 
-// ---------------------------------------------------------------------------------------------------
-// lines
+// --------------------------------------------------------------------------------------------------------------- lines
 
 double Box::share_of_line(const Vec3& begin, const Vec3& end) const {
   double from = 0, to = 1;
@@ -22,8 +21,7 @@ double Box::share_of_line(const Vec3& begin, const Vec3& end) const {
   return std::max(0.0, to - from);
 }
 
-// |b + t l - c|^2 = r^2 with h = b - c: t = (-h.l -+ sqrt((h.l)^2 - l^2 (h^2 -
-// r^2))) / l^2.
+// |b + t l - c|^2 = r^2 with h = b - c: t = (-h.l -+ sqrt((h.l)^2 - l^2 (h^2 - r^2))) / l^2.
 double Ball::share_of_line(const Vec3& begin, const Vec3& end) const {
   const Vec3 line = end - begin, from_center = begin - center;
   const double square = line.squaredNorm(), along = from_center.dot(line);
@@ -34,12 +32,10 @@ double Ball::share_of_line(const Vec3& begin, const Vec3& end) const {
   return std::max(0.0, std::min(1.0, (half - along) / square) - std::max(0.0, (-half - along) / square));
 }
 
-// --------------------------------------------------------------------------------------------------
-// spheres
+// ------------------------------------------------------------------------------------------------------------- spheres
 
-// The lens of two spheres, d = R_a + R_b - U apart: two caps, whose heights h_a
-// and h_b sum to U. With the caps' common plane that is pi U^2 (d^2 + 2 d (R_a
-// + R_b) - 3 (R_a - R_b)^2) / (12 d).
+// The lens of two spheres, d = R_a + R_b - U apart: two caps, whose heights h_a and h_b sum to U. With the caps'
+// common plane that is pi U^2 (d^2 + 2 d (R_a + R_b) - 3 (R_a - R_b)^2) / (12 d).
 double shared_volume(double radius_a, double radius_b, double overlap) {
   if (!(overlap > 0)) return 0;
   const double smaller = std::min(radius_a, radius_b), sum = radius_a + radius_b, distance = sum - overlap;
@@ -55,20 +51,17 @@ double Ball::part_of_sphere(const Vec3& at, double sphere_radius) const {
 
 namespace {
 
-// Parts of the unit ball beyond one, two or three planes square to the axes: x
-// > a, y > b, z > c.
+// Parts of the unit ball beyond one, two or three planes square to the axes: x > a, y > b, z > c.
 //
-// For thresholds that are not negative. By the divergence theorem, with r.n = 1
-// on the sphere and -a on the face x = a,
+// For thresholds that are not negative. By the divergence theorem, with r.n = 1 on the sphere and -a on
+// the face x = a,
 //   3 V = W - a A_a - b A_b - c A_c,
-// where A are the faces' areas and W is that of the part on the sphere. The
-// part is bounded by arcs of circles of radius rho_a = sqrt(1 - a^2) that turn
-// through phi_a; an arc's geodesic curvature is a / rho_a, so Gauss and Bonnet
+// where A are the faces' areas and W is that of the part on the sphere. The part is bounded by arcs of circles of
+// radius rho_a = sqrt(1 - a^2) that turn through phi_a; an arc's geodesic curvature is a / rho_a, so Gauss and Bonnet
 // give
 //   W = 2 pi - a phi_a - b phi_b - c phi_c - sum of the turns at the corners,
-// and where the circles x = a and y = b meet the boundary turns by the angle
-// between e_x - a p and e_y - b p, the arc's inward normals: acos(-a b / (rho_a
-// rho_b)). A part is empty once its innermost point (a, b, c) is outside.
+// and where the circles x = a and y = b meet the boundary turns by the angle between e_x - a p and e_y - b p, the
+// arc's inward normals: acos(-a b / (rho_a rho_b)). A part is empty once its innermost point (a, b, c) is outside.
 double beyond(double a) { return pi * (1 - a) * (1 - a) * (2 + a) / 3; }
 
 double rho(double a) { return std::sqrt(std::max(0.0, 1 - a * a)); }
@@ -86,8 +79,7 @@ double beyond(double a, double b) {
 
 double beyond(double a, double b, double c) {
   if (a * a + b * b + c * c >= 1) return 0;
-  // In the circle of radius r the arc beyond s and t, and the face between it
-  // and the corner (s, t).
+  // In the circle of radius r the arc beyond s and t, and the face between it and the corner (s, t).
   const auto arc = [](double r, double s, double t) { return cosine_angle(s / r) - std::asin(std::min(1.0, t / r)); };
   const auto face = [&](double r, double s, double t) {
     return 0.5 * (r * r * arc(r, s, t) - s * (chord(r, s) - t) - t * (chord(r, t) - s));
@@ -97,8 +89,7 @@ double beyond(double a, double b, double c) {
   return (sphere - a * face(rho(a), b, c) - b * face(rho(b), c, a) - c * face(rho(c), a, b)) / 3;
 }
 
-// The same for thresholds of any sign: what is beyond a negative one is all
-// less what is beyond its mirror image.
+// The same for thresholds of any sign: what is beyond a negative one is all less what is beyond its mirror image.
 double beyond_any(double a) { return a < 0 ? 4.0 / 3.0 * pi - beyond(-a) : beyond(a); }
 double beyond_any(double a, double b) {
   if (a < 0) return beyond_any(b) - beyond_any(-a, b);
@@ -118,8 +109,7 @@ double Box::part_of_sphere(const Vec3& center, double radius) const {
   const Vec3 from = (low - center) / radius, to = (high - center) / radius;
   if ((from.array() >= 1).any() || (to.array() <= -1).any()) return 0;
   if ((from.array() <= -1).all() && (to.array() >= 1).all()) return 4.0 / 3.0 * pi * radius * radius * radius;
-  // Beyond the low planes less beyond the high ones, axis by axis: eight
-  // corners.
+  // Beyond the low planes less beyond the high ones, axis by axis: eight corners.
   double sum = 0;
   for (int corner = 0; corner < 8; ++corner) {
     std::array<double, 3> plane;
@@ -134,8 +124,7 @@ double Box::part_of_sphere(const Vec3& center, double radius) const {
   return std::max(0.0, sum) * radius * radius * radius;
 }
 
-// ----------------------------------------------------------------------------------------------------
-// cells
+// --------------------------------------------------------------------------------------------------------------- cells
 
 CellGrid::CellGrid(const Box& bounds, double cell) : bounds_(bounds) {
   constexpr double most_cells = 1e6;  // along one axis; the product of three still fits a size

@@ -1,6 +1,5 @@
-// The regions that measurements are taken in: boxes, balls, and boxes cut into
-// equal cells. What a region must know of the grains is how much of a sphere
-// lies in it, and how much of a straight line.
+// The regions that measurements are taken in: boxes, balls, and boxes cut into equal cells. What a region must know of
+// the grains is how much of a sphere lies in it, and how much of a straight line.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -19,8 +18,7 @@ struct Box {
   Box bounds() const { return *this; }
   // Share of the line from `begin` to `end` that lies inside [-].
   double share_of_line(const Vec3& begin, const Vec3& end) const;
-  // Volume of a sphere's part inside, exact to round-off of the sphere's volume
-  // [m3].
+  // Volume of a sphere's part inside, exact to round-off of the sphere's volume [m3].
   double part_of_sphere(const Vec3& center, double radius) const;
 };
 
@@ -34,16 +32,14 @@ struct Ball {
   double part_of_sphere(const Vec3& center, double radius) const;
 };
 
-// Volume that two spheres share when they overlap by `overlap` along the line
-// of their centres [m3].
+// Volume that two spheres share when they overlap by `overlap` along the line of their centres [m3].
 double shared_volume(double radius_a, double radius_b, double overlap);
 
 // A box cut into equal cells, x fastest.
 class CellGrid {
  public:
-  // Cells as near to cubes of side `cell` as fit the box without rest; at least
-  // one along each axis. InputError when the box has no volume, or more cells
-  // than an int counts along an axis.
+  // Cells as near to cubes of side `cell` as fit the box without rest; at least one along each axis. InputError when
+  // the box has no volume, or more cells than an int counts along an axis.
   CellGrid(const Box& bounds, double cell);
 
   const Box& bounds() const { return bounds_; }
@@ -53,13 +49,12 @@ class CellGrid {
   std::size_t size() const { return static_cast<std::size_t>(count_[0]) * count_[1] * count_[2]; }
   std::size_t index(int i, int j, int k) const { return (static_cast<std::size_t>(k) * count_[1] + j) * count_[0] + i; }
   Box cell(int i, int j, int k) const;
-  // The cells along `axis` that a stretch of that axis meets, first > last when
-  // none: those whose index is in [first, last].
+  // The cells along `axis` that a stretch of that axis meets, first > last when none: those whose index is in [first,
+  // last].
   std::array<int, 2> range(int axis, double low, double high) const;
 
-  // Visits (cell index, share of the line) for each cell that the line from
-  // `begin` to `end` runs through. The shares of a line inside the bounds sum
-  // to 1.
+  // Visits (cell index, share of the line) for each cell that the line from `begin` to `end` runs through. The shares
+  // of a line inside the bounds sum to 1.
   template <class Visitor>
   void for_each_piece(const Vec3& begin, const Vec3& end, Visitor&& visit) const {
     std::vector<double>& cuts = cuts_;
