@@ -14,6 +14,11 @@ struct ElasticModuli {
   double constrained() const { return bulk + 4.0 / 3.0 * shear; }
 };
 
+struct Material {
+  ElasticModuli moduli;
+  double density = 0;  // [kg/m3]
+};
+
 // G = E / (2 (1 + nu)), K = E / (3 (1 - 2 nu)). The paper's Table 2 lists the two with their names swapped.
 inline ElasticModuli elastic_moduli(double youngs_modulus, double poisson_ratio) {
   return {youngs_modulus / (2 * (1 + poisson_ratio)), youngs_modulus / (3 * (1 - 2 * poisson_ratio))};

@@ -1,5 +1,6 @@
 #include "continuum_client/grid.hpp"
 
+#include <algorithm>
 #include <string>
 
 #include "common/checks.hpp"
@@ -24,6 +25,12 @@ std::vector<char> zones_outside_discrete_domain(const Grid& grid) {
   std::vector<char> is_left(grid.zone_count());
   for (std::size_t z = 0; z < grid.zone_count(); ++z) is_left[z] = grid.in_discrete_domain[z] ? 0 : 1;
   return is_left;
+}
+
+double fastest_wave(const Grid& grid) {
+  double fastest = 0;
+  for (const Material& m : grid.materials) fastest = std::max(fastest, p_wave_speed(m.moduli, m.density));
+  return fastest;
 }
 
 void check_zones(const Grid& grid, const std::string& where) {

@@ -1,7 +1,7 @@
-// The mesh: nodes, 8-node zones, and the facets of the future interface with the grains. Pure geometry.
+// The ground: nodes, 8-node zones with their kind and materials, and the facets of the future interface with the grains.
 //
-// Nodes are numbered along the structured directions, horizontal plane by plane from the bottom up, so that the product
-// with the assembled stiffness walks memory nearly in order. A zone's nodes are those of zone_kinematics.hpp: bottom
+// Nodes and zones are numbered column by column, upwards in each: neighbouring nodes of a column have the same neighbours one
+// level up, and often the same stiffness, which the product with the assembled operator lives on. A zone's nodes are those of zone_kinematics.hpp: bottom
 // face counter- clockwise seen from above, then the top face.
 #pragma once
 #include <array>
@@ -18,7 +18,10 @@ namespace lockstep::continuum {
 struct Grid {
   Vec3s node;  // reference positions [m]
   std::vector<std::array<std::int32_t, 8>> zone;
-  std::vector<char> in_discrete_domain;            // per zone: deleted at Excavate
+  std::vector<char> in_discrete_domain;  // per zone: deleted at Excavate
+  ZoneKind zone_kind = ZoneKind::MixedDiscretization;
+  std::vector<Material> materials;                 // at least one
+  std::vector<std::int32_t> material;              // per zone: index into materials
   std::vector<std::int32_t> level;                 // per zone: from the bottom up
   std::vector<std::array<std::int32_t, 4>> facet;  // interface, grid nodes, normal into the grains
   std::vector<std::int32_t> ring;                  // per facet: 0 at the top and down; -1: bottom group
@@ -29,7 +32,9 @@ struct Grid {
   double depth() const { return high.z() - low.z(); }  // [m]
 
   ZoneVectors corners(std::size_t z) const;
-  ZoneGeometry geometry(std::size_t z) const { return zone_geometry(corners(z)); }
+  ZoneGeometry geometry(std::size_t z) const { return zone_geometry(zone_kind, corners(z)); }
+  const Material& material_of(std::size_t z) const { return materials[material[z]]; }
+  const ElasticModuli& moduli(std::size_t z) const { return material_of(z).moduli; }
   Vec3 zone_center(std::size_t z) const;
 };
 
@@ -38,6 +43,9 @@ ZoneVectors gather(const Vec3s& field, const std::array<std::int32_t, 8>& nodes)
 
 // Zones that are left once the discrete domain is taken out, in order; node numbers stay.
 std::vector<char> zones_outside_discrete_domain(const Grid& grid);
+
+// The largest P-wave speed of its materials [m/s].
+double fastest_wave(const Grid& grid);
 
 // Throws InputError with `where` if a zone is turned inside out or flat.
 void check_zones(const Grid& grid, const std::string& where);

@@ -111,18 +111,26 @@ Plane cylinder_plane(const CylinderMesh& m) {
   return p;
 }
 
-// Zones between neighbouring heights over each quad of the plane.
+// Columns of zones over each quad of the plane, and of nodes over each of its points, upwards.
 void extrude(const Plane& plane, const std::vector<double>& height, Grid& grid) {
-  const auto points = static_cast<std::int32_t>(plane.point.size());
-  for (double z : height)
-    for (const auto& xy : plane.point) grid.node.emplace_back(xy.x(), xy.y(), z);
-  for (std::int32_t l = 0; l + 1 < static_cast<std::int32_t>(height.size()); ++l)
-    for (const auto& q : plane.quad) {
+  const auto levels = static_cast<std::int32_t>(height.size());
+  for (const auto& xy : plane.point)
+    for (double z : height) grid.node.emplace_back(xy.x(), xy.y(), z);
+  for (const auto& q : plane.quad)
+    for (std::int32_t l = 0; l + 1 < levels; ++l) {
       std::array<std::int32_t, 8> zone;
-      for (int a = 0; a < 4; ++a) zone[a] = l * points + q[a], zone[a + 4] = (l + 1) * points + q[a];
+      for (int c = 0; c < 4; ++c) zone[c] = q[c] * levels + l, zone[c + 4] = zone[c] + 1;
       grid.zone.push_back(zone);
       grid.level.push_back(l);
+      grid.material.push_back(0);
     }
+}
+
+void add_horizontal_facet(const std::array<std::int32_t, 4>& quad, int level, int levels, Grid& grid) {
+  std::array<std::int32_t, 4> facet;
+  for (int c = 0; c < 4; ++c) facet[c] = quad[c] * levels + level;
+  grid.facet.push_back(facet);
+  grid.ring.push_back(-1);
 }
 
 }  // namespace
@@ -143,11 +151,7 @@ Grid build_block(const BlockMesh& m) {
   for (int l = 0; l <= m.zones_z; ++l) height.push_back(m.top_z - m.height * (1 - static_cast<double>(l) / m.zones_z));
   extrude(plane, height, g);
   g.in_discrete_domain.assign(g.zone_count(), 0);
-  const auto top = static_cast<std::int32_t>(m.zones_z * plane.point.size());
-  for (const auto& q : plane.quad) {
-    g.facet.push_back({top + q[0], top + q[1], top + q[2], top + q[3]});
-    g.ring.push_back(-1);
-  }
+  for (const auto& q : plane.quad) add_horizontal_facet(q, m.zones_z, m.zones_z + 1, g);
   g.low = g.node.front(), g.high = g.node.back();
   check_zones(g, m.where);
   return g;
@@ -164,36 +168,34 @@ Grid build_cylinder_in_brick(const CylinderMesh& m) {
   for (int l = m.zones_hole_depth; l >= 0; --l) height.push_back(-m.hole_depth * l / m.zones_hole_depth);
   extrude(plane, height, g);
 
-  const auto quads = plane.quad.size();
+  const auto column = static_cast<std::size_t>(m.zones_below + m.zones_hole_depth);
   for (std::size_t z = 0; z < g.zone_count(); ++z)
-    g.in_discrete_domain.push_back(g.level[z] >= m.zones_below && plane.is_inside[z % quads] ? 1 : 0);
+    g.in_discrete_domain.push_back(g.level[z] >= m.zones_below && plane.is_inside[z / column] ? 1 : 0);
 
   // Side rings from the top down. Seen from the axis the circle runs against the facets' first direction: with xi
   // clockwise about z and eta upwards, xi x eta points to the axis, into the grains.
-  const auto points = static_cast<std::int32_t>(plane.point.size());
+  const int levels = m.zones_below + m.zones_hole_depth + 1;
   for (int ring = 0; ring < m.zones_hole_depth; ++ring) {
-    const std::int32_t lower = (m.zones_below + m.zones_hole_depth - 1 - ring) * points, upper = lower + points;
+    const std::int32_t lower = m.zones_below + m.zones_hole_depth - 1 - ring, upper = lower + 1;
     for (int k = 0; k < m.zones_around; ++k) {
-      const std::int32_t a = plane.circle[k], b = plane.circle[(k + 1) % m.zones_around];
-      g.facet.push_back({lower + b, lower + a, upper + a, upper + b});
+      const std::int32_t a = plane.circle[k] * levels, b = plane.circle[(k + 1) % m.zones_around] * levels;
+      g.facet.push_back({b + lower, a + lower, a + upper, b + upper});
       g.ring.push_back(ring);
     }
   }
-  const std::int32_t bottom = m.zones_below * points;
-  for (std::size_t q = 0; q < quads; ++q)
-    if (plane.is_inside[q]) {
-      const auto& n = plane.quad[q];
-      g.facet.push_back({bottom + n[0], bottom + n[1], bottom + n[2], bottom + n[3]});
-      g.ring.push_back(-1);
-    }
+  for (std::size_t q = 0; q < plane.quad.size(); ++q)
+    if (plane.is_inside[q]) add_horizontal_facet(plane.quad[q], m.zones_below, levels, g);
   g.low = Vec3(-m.width / 2, -m.width / 2, -m.depth), g.high = Vec3(m.width / 2, m.width / 2, 0);
   check_zones(g, m.where);
   return g;
 }
 
 Grid build_grid(const Settings& settings) {
-  if (const auto* block = std::get_if<BlockMesh>(&settings.mesh)) return build_block(*block);
-  return build_cylinder_in_brick(std::get<CylinderMesh>(settings.mesh));
+  const auto* block = std::get_if<BlockMesh>(&settings.mesh);
+  Grid grid = block ? build_block(*block) : build_cylinder_in_brick(std::get<CylinderMesh>(settings.mesh));
+  grid.zone_kind = settings.zone_kind;
+  grid.materials = settings.materials;
+  return grid;
 }
 
 }  // namespace lockstep::continuum

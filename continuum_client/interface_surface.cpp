@@ -48,28 +48,27 @@ void gather_interface(const InterfaceSurface& surface, const Vec3s& field, Vec3s
   for (std::size_t i = 0; i < surface.node_count(); ++i) values[i] = field[surface.node[i]];
 }
 
-Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface, const ElasticModuli& moduli,
-                               double density, double gravity, const Vec3s& displacement) {
+Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface, double gravity,
+                               const Vec3s& displacement) {
   Vec3s force(grid.node_count(), Vec3::Zero());
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!grid.in_discrete_domain[z]) continue;
     const ZoneGeometry geometry = grid.geometry(z);
     // The assembled operator's own numbers, so that putting f_A in place of the zones leaves round-off alone.
-    const ZoneMatrix stiffness = zone_stiffness(geometry, moduli);
+    const ZoneMatrix stiffness = zone_stiffness(geometry, grid.moduli(z));
     const std::array<double, 8> volume = nodal_volumes(geometry);
     Eigen::Matrix<double, 24, 1> u;
     for (int a = 0; a < 8; ++a) u.segment<3>(3 * a) = displacement[grid.zone[z][a]];
     const Eigen::Matrix<double, 24, 1> f = stiffness * u;
     for (int a = 0; a < 8; ++a)
-      force[grid.zone[z][a]] += Vec3(0, 0, -density * volume[a] * gravity) - f.segment<3>(3 * a);
+      force[grid.zone[z][a]] += Vec3(0, 0, -grid.material_of(z).density * volume[a] * gravity) - f.segment<3>(3 * a);
   }
   Vec3s at_interface;
   gather_interface(surface, force, at_interface);
   return at_interface;
 }
 
-std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surface, const ElasticModuli& moduli,
-                                const Vec3s& displacement) {
+std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surface, const Vec3s& displacement) {
   // Faces of a zone by its own node numbers.
   static constexpr int faces[6][4] = {{0, 1, 2, 3}, {4, 5, 6, 7}, {0, 1, 5, 4},
                                       {1, 2, 6, 5}, {2, 3, 7, 6}, {3, 0, 4, 7}};
@@ -88,7 +87,7 @@ std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surfac
       std::sort(key.begin(), key.end());
       const auto found = facet_of.find(key);
       if (found == facet_of.end()) continue;
-      sum[found->second] += to_voigt(zone_stress(grid.geometry(z), moduli, gather(displacement, grid.zone[z])));
+      sum[found->second] += to_voigt(zone_stress(grid.geometry(z), grid.moduli(z), gather(displacement, grid.zone[z])));
       ++owners[found->second];
     }
   for (std::size_t f = 0; f < sum.size(); ++f) sum[f] /= std::max(1, owners[f]);
@@ -130,14 +129,13 @@ Vec3s facet_traction(const InterfaceSurface& surface, const std::vector<Voigt>& 
   return traction;
 }
 
-std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const ElasticModuli& moduli,
-                                                 const Vec3s& displacement) {
+std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const Vec3s& displacement) {
   std::map<std::int32_t, std::pair<LevelStress, double>> sums;  // by level, with the volume
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!grid.in_discrete_domain[z]) continue;
     const ZoneGeometry geometry = grid.geometry(z);
     const double volume = geometry.zone_volume();
-    const Mat3 s = zone_stress(geometry, moduli, gather(displacement, grid.zone[z]));
+    const Mat3 s = zone_stress(geometry, grid.moduli(z), gather(displacement, grid.zone[z]));
     auto& [level, sum] = sums[grid.level[z]];
     level.z += volume * grid.zone_center(z).z();
     level.vertical += volume * s(2, 2);
@@ -151,11 +149,11 @@ std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const Elastic
   return profile;
 }
 
-std::vector<Voigt> zone_stresses(const Grid& grid, const ElasticModuli& moduli, const Vec3s& displacement) {
+std::vector<Voigt> zone_stresses(const Grid& grid, const Vec3s& displacement) {
   std::vector<Voigt> stress;
   stress.reserve(grid.zone_count());
   for (std::size_t z = 0; z < grid.zone_count(); ++z)
-    stress.push_back(to_voigt(zone_stress(grid.geometry(z), moduli, gather(displacement, grid.zone[z]))));
+    stress.push_back(to_voigt(zone_stress(grid.geometry(z), grid.moduli(z), gather(displacement, grid.zone[z]))));
   return stress;
 }
 

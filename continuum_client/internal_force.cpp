@@ -28,8 +28,7 @@ Mat3 StiffnessMatrix::diagonal(std::size_t node) const {
   return row_begin[node] == row_begin[node + 1] ? Mat3(Mat3::Zero()) : block[row_begin[node]];
 }
 
-StiffnessMatrix assemble_stiffness(const Grid& grid, const ElasticModuli& moduli,
-                                   const std::vector<char>& is_included) {
+StiffnessMatrix assemble_stiffness(const Grid& grid, const std::vector<char>& is_included) {
   const auto included = [&](std::size_t z) { return is_included.empty() || is_included[z]; };
   // The columns of each row: the node itself and its neighbours of higher number.
   std::vector<std::vector<std::int32_t>> neighbours(grid.node_count());
@@ -50,7 +49,7 @@ StiffnessMatrix assemble_stiffness(const Grid& grid, const ElasticModuli& moduli
   k.block.assign(k.column.size(), Mat3::Zero());
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!included(z)) continue;
-    const ZoneMatrix zone = zone_stiffness(grid.geometry(z), moduli);
+    const ZoneMatrix zone = zone_stiffness(grid.geometry(z), grid.moduli(z));
     for (int a = 0; a < 8; ++a)
       for (int b = 0; b < 8; ++b) {
         const std::int32_t i = grid.zone[z][a], j = grid.zone[z][b];
@@ -63,12 +62,12 @@ StiffnessMatrix assemble_stiffness(const Grid& grid, const ElasticModuli& moduli
   return k;
 }
 
-std::vector<double> lumped_masses(const Grid& grid, double density, const std::vector<char>& is_included) {
+std::vector<double> lumped_masses(const Grid& grid, const std::vector<char>& is_included) {
   std::vector<double> mass(grid.node_count(), 0.0);
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!is_included.empty() && !is_included[z]) continue;
     const std::array<double, 8> volume = nodal_volumes(grid.geometry(z));
-    for (int a = 0; a < 8; ++a) mass[grid.zone[z][a]] += density * volume[a];
+    for (int a = 0; a < 8; ++a) mass[grid.zone[z][a]] += grid.material_of(z).density * volume[a];
   }
   return mass;
 }

@@ -36,11 +36,10 @@ struct StiffnessMatrix {
 };
 
 // From the zones with is_included[z]; an empty list includes all.
-StiffnessMatrix assemble_stiffness(const Grid& grid, const ElasticModuli& moduli,
-                                   const std::vector<char>& is_included = {});
+StiffnessMatrix assemble_stiffness(const Grid& grid, const std::vector<char>& is_included = {});
 
 // Lumped nodal masses of the same zones [kg].
-std::vector<double> lumped_masses(const Grid& grid, double density, const std::vector<char>& is_included = {});
+std::vector<double> lumped_masses(const Grid& grid, const std::vector<char>& is_included = {});
 
 struct InternalForce {
   StiffnessMatrix stiffness;

@@ -71,8 +71,7 @@ class ResultFiles {
   void add_history(const CoupledGround& ground);
   // Displacement, velocity, stress and change of vertical stress since Excavate, of the zones with is_left.
   // `initial` are the displacements that gravity caused.
-  void add_snapshot(const CoupledGround& ground, const ElasticModuli& moduli, const Vec3s& initial,
-                    const std::vector<char>& is_left);
+  void add_snapshot(const CoupledGround& ground, const Vec3s& initial, const std::vector<char>& is_left);
   void write_interface(const CoupledGround& ground, const Vec3s& traction);
   void write_summary(const RunReport& report, const std::string& title);
 

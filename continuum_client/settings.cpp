@@ -89,9 +89,7 @@ Settings read_settings(const SceneFile& file) {
       throw InputError(fmt::format("{}: the continuum has no mesh; add cylinder_in_brick {{ }} or block {{ }}",
                                    file.where("continuum")));
   }
-  r.moduli = elastic_moduli(c.youngs_modulus(), c.poisson_ratio());
-  r.poisson_ratio = c.poisson_ratio();
-  r.density = c.density();
+  r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density()}};
   r.gravity = s.gravity();
   r.initial_supports = to_supports(c.initial_supports());
   r.supports = to_supports(c.supports());

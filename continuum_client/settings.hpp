@@ -4,10 +4,12 @@
 #include <cstdint>
 #include <string>
 #include <variant>
+#include <vector>
 
 #include "common/scene.hpp"
 #include "common/vectors.hpp"
 #include "continuum_client/elastic_law.hpp"
+#include "continuum_client/zone_kinematics.hpp"
 
 namespace lockstep::continuum {
 
@@ -31,10 +33,9 @@ enum class Supports { AllFixed, Rollers, BottomFixed, BottomRoller };
 struct Settings {
   std::string title;
   std::variant<BlockMesh, CylinderMesh> mesh;
-  ElasticModuli moduli;
-  double poisson_ratio = 0;  // [-]
-  double density = 0;        // [kg/m3]
-  double gravity = 0;        // downwards [m/s2]
+  ZoneKind zone_kind = ZoneKind::MixedDiscretization;
+  std::vector<Material> materials;  // the scene's own first, then those of its layers
+  double gravity = 0;               // downwards [m/s2]
   Supports initial_supports = Supports::Rollers;
   Supports supports = Supports::AllFixed;
 

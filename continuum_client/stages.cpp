@@ -86,7 +86,7 @@ class Stages {
     wait_for_balance();
     excavate();
     if (!has_baseline()) ground_.baseline.offset.assign(ground_.interface.node_count(), Vec3::Zero());
-    files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+    files_.add_snapshot(ground_, initial_, is_left_);
     if (settings_.apply_max_steps > 0) apply();
     if (!report_.is_interrupted) penetrate();
     finish();
@@ -108,7 +108,7 @@ class Stages {
     ground_.damping = settings_.run_damping;
     ground_.incoming.force.assign(ground_.interface.node_count(), Vec3::Zero());
     ground_.baseline.force = ground_.baseline.offset = ground_.incoming.force;
-    files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+    files_.add_snapshot(ground_, initial_, is_left_);
     begin_stage("Penetrate");
     while (ground_.time < settings_.duration && !stop_requested()) {
       ground_.compute_internal_forces();
@@ -140,8 +140,8 @@ class Stages {
     report_.zones = grid.zone_count(), report_.nodes = grid.node_count();
     report_.interface_nodes = ground_.interface.node_count(), report_.facets = ground_.interface.facet_count();
     beat("assembling the ground", 0);
-    ground_.internal_force.stiffness = assemble_stiffness(grid, settings_.moduli);
-    mass_ = lumped_masses(grid, settings_.density);
+    ground_.internal_force.stiffness = assemble_stiffness(grid);
+    mass_ = lumped_masses(grid);
     is_free_ = free_components(grid, settings_.initial_supports, mass_);
     ground_.gravity = Vec3(0, 0, -settings_.gravity);
     beat("looking for equilibrium", 0);
@@ -161,22 +161,21 @@ class Stages {
   void send_initial_stress() {
     const Grid& grid = ground_.grid;
     const InterfaceSurface& surface = ground_.interface;
-    reaction_ =
-        discrete_domain_reaction(grid, surface, settings_.moduli, settings_.density, settings_.gravity, initial_);
+    reaction_ = discrete_domain_reaction(grid, surface, settings_.gravity, initial_);
     protocol::InitialStress message;
     message.nodes = surface.position;
     message.facets = surface.facet;
     message.ring = surface.ring;
-    message.stress = facet_stress(grid, surface, settings_.moduli, initial_);
+    message.stress = facet_stress(grid, surface, initial_);
     const bool deletes_zones =
         std::find(grid.in_discrete_domain.begin(), grid.in_discrete_domain.end(), 1) != grid.in_discrete_domain.end();
     traction_ =
         deletes_zones ? facet_traction(surface, message.stress, reaction_) : Vec3s(surface.facet_count(), Vec3::Zero());
     message.traction = traction_;
-    for (const LevelStress& l : discrete_domain_profile(grid, settings_.moduli, initial_))
+    for (const LevelStress& l : discrete_domain_profile(grid, initial_))
       message.profile.push_back({l.z, l.vertical, l.horizontal});
     message.gravity = ground_.gravity;
-    message.bulk_density = settings_.density;
+    message.bulk_density = grid.materials.front().density;
     message.unbalanced_ratio = report_.equilibrium.unbalanced_ratio;
     peer_->send(protocol::Message(std::move(message)));
   }
@@ -196,8 +195,8 @@ class Stages {
     is_left_ = zones_outside_discrete_domain(grid);
     report_.zones_deleted = static_cast<std::uint64_t>(std::count(is_left_.begin(), is_left_.end(), 0));
     if (report_.zones_deleted > 0) {
-      ground_.internal_force.stiffness = assemble_stiffness(grid, settings_.moduli, is_left_);
-      mass_ = lumped_masses(grid, settings_.density, is_left_);
+      ground_.internal_force.stiffness = assemble_stiffness(grid, is_left_);
+      mass_ = lumped_masses(grid, is_left_);
     }
     take_reference_state();
     report_.excavation_residual = largest_unbalanced();
@@ -246,8 +245,7 @@ class Stages {
     begin_stage("Apply");
     ground_.stage = protocol::Stage::Apply;
     ground_.damping = settings_.apply_damping;
-    const double duration =
-        settings_.ramp_transits * ground_.grid.depth() / p_wave_speed(settings_.moduli, settings_.density);
+    const double duration = settings_.ramp_transits * ground_.grid.depth() / fastest_wave(ground_.grid);
     if (duration / ground_.step_sizes.out_of > settings_.apply_max_steps && !settings_.holds_baseline)
       spdlog::warn(
           "apply.ramp_transits takes {:.0f} steps, more than apply.max_steps {}: the rest of the baseline will drop at "
@@ -301,7 +299,7 @@ class Stages {
                                                  : time / std::max(settings_.duration, time));
       if (settings_.snapshot_interval > 0 && position >= next_snapshot) {
         const auto scope = ground_.profile.measure(Phase::Output);
-        files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+        files_.add_snapshot(ground_, initial_, is_left_);
         next_snapshot += settings_.snapshot_interval;
       }
     }
@@ -342,7 +340,7 @@ class Stages {
     ground_.integrator = Integrator(mass_, after);
     ground_.motion = {Vec3s(count, Vec3::Zero()), Vec3s(count, Vec3::Zero())};
     ground_.internal = force.reference;
-    ground_.velocity_limit = p_wave_speed(settings_.moduli, settings_.density);
+    ground_.velocity_limit = fastest_wave(ground_.grid);
     ground_.hash_interval = settings_.hash_interval;
     gather_interface(ground_.interface, ground_.motion.velocity, ground_.outgoing.velocity);
   }
@@ -422,7 +420,7 @@ class Stages {
   }
 
   void describe_initial_stress() {
-    const std::vector<Voigt> stress = zone_stresses(ground_.grid, settings_.moduli, initial_);
+    const std::vector<Voigt> stress = zone_stresses(ground_.grid, initial_);
     double vertical = 0, horizontal = 0, bottom = 0, bottom_volume = 0;
     for (std::size_t z = 0; z < stress.size(); ++z) {
       const double volume = ground_.grid.geometry(z).zone_volume();
@@ -514,7 +512,7 @@ class Stages {
     report_.state_hash = h.value();
     report_.position_hash = ground_.interface.position_hash();
     if (ground_.step % settings_.history_interval != 0) files_.add_history(ground_);
-    files_.add_snapshot(ground_, settings_.moduli, initial_, is_left_);
+    files_.add_snapshot(ground_, initial_, is_left_);
     files_.write_interface(ground_,
                            traction_.empty() ? Vec3s(ground_.interface.facet_count(), Vec3::Zero()) : traction_);
   }

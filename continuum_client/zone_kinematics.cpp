@@ -19,7 +19,7 @@ double ZoneGeometry::zone_volume() const {
   return sum / overlay_count;
 }
 
-ZoneGeometry zone_geometry(const ZoneVectors& corners) {
+ZoneGeometry zone_geometry(ZoneKind, const ZoneVectors& corners) {
   ZoneGeometry g;
   for (int o = 0; o < overlay_count; ++o)
     for (int t = 0; t < tetrahedra_per_overlay; ++t) {

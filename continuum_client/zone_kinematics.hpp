@@ -23,6 +23,9 @@
 
 namespace lockstep::continuum {
 
+// How strains are taken from a zone's nodes; the scene chooses.
+enum class ZoneKind { MixedDiscretization, BBar, OnePoint };
+
 using ZoneVectors = std::array<Vec3, 8>;  // one per node, in the order of the drawing
 using ZoneMatrix = Eigen::Matrix<double, 24, 24>;
 
@@ -43,7 +46,7 @@ struct ZoneGeometry {
   double zone_volume() const;      // mean of the overlays [m3]
 };
 
-ZoneGeometry zone_geometry(const ZoneVectors& corners);
+ZoneGeometry zone_geometry(ZoneKind kind, const ZoneVectors& corners);
 
 // Nodal forces that hold the zone in the shape given by `displacement` [N].
 ZoneVectors zone_force(const ZoneGeometry& geometry, const ElasticModuli& moduli, const ZoneVectors& displacement);

@@ -89,8 +89,8 @@ TEST_CASE("P- and S-waves have the speeds of the material, with order 2") {
 
 TEST_CASE("Lanczos meets the true highest frequency and Gershgorin bounds it") {
   const Grid grid = distorted_brick();
-  const StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
-  const std::vector<double> mass = lumped_masses(grid, test_density);
+  const StiffnessMatrix k = assemble_stiffness(grid);
+  const std::vector<double> mass = lumped_masses(grid);
   Vec3s is_free(grid.node_count(), Vec3::Ones());
   for (int i = 0; i < 16; ++i) is_free[i] = Vec3(i % 2, 0, 0);
   const double exact = dense_frequency_squared(k, mass, is_free);
@@ -107,8 +107,8 @@ TEST_CASE("Lanczos meets the true highest frequency and Gershgorin bounds it") {
 TEST_CASE("contact stiffness on nodes is bounded by the coupled limit") {
   // Springs to fixed points at random nodes: their exact frequency lies below omega_c^2 + max 2 sum(k w) / m.
   const Grid grid = distorted_brick();
-  StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
-  const std::vector<double> mass = lumped_masses(grid, test_density);
+  StiffnessMatrix k = assemble_stiffness(grid);
+  const std::vector<double> mass = lumped_masses(grid);
   const Vec3s is_free(grid.node_count(), Vec3::Ones());
   const double alone = dense_frequency_squared(k, mass, is_free);
   const std::vector<std::int32_t> node = {48, 52, 57, 63};
@@ -125,8 +125,8 @@ TEST_CASE("contact stiffness on nodes is bounded by the coupled limit") {
 TEST_CASE("the ground blows up just above the stable step and not just below") {
   const Grid grid = distorted_brick();
   const Vec3s is_free(grid.node_count(), Vec3::Ones());
-  const StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
-  const double limit = stable_step(dense_frequency_squared(k, lumped_masses(grid, test_density), is_free), 0);
+  const StiffnessMatrix k = assemble_stiffness(grid);
+  const double limit = stable_step(dense_frequency_squared(k, lumped_masses(grid), is_free), 0);
   FreeRun above(grid, is_free), below(grid, is_free);
   CHECK(speed_after(above, 1.01 * limit, 0, 3000) > 1e9);
   CHECK(speed_after(below, 0.99 * limit, 0, 3000) < 100);
@@ -138,8 +138,8 @@ TEST_CASE("local damping shrinks the stable step by 1/sqrt(1 + alpha)") {
   const Grid grid = brick(1, 1, 1, 1, 1, 1);
   Vec3s is_free(grid.node_count(), Vec3::Zero());
   is_free[7].z() = 1;
-  const StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
-  const double omega_squared = dense_frequency_squared(k, lumped_masses(grid, test_density), is_free);
+  const StiffnessMatrix k = assemble_stiffness(grid);
+  const double omega_squared = dense_frequency_squared(k, lumped_masses(grid), is_free);
   for (double alpha : {0.2, 0.7}) {
     const double limit = stable_step(omega_squared, alpha);
     CHECK(limit == Approx(stable_step(omega_squared, 0) / std::sqrt(1 + alpha)).epsilon(1e-14));
@@ -151,8 +151,7 @@ TEST_CASE("local damping shrinks the stable step by 1/sqrt(1 + alpha)") {
   // The whole brick: the factor is safe, and without it damped motion is not.
   const Grid many = distorted_brick();
   const Vec3s all(many.node_count(), Vec3::Ones());
-  const double undamped = stable_step(
-      dense_frequency_squared(assemble_stiffness(many, test_moduli), lumped_masses(many, test_density), all), 0);
+  const double undamped = stable_step(dense_frequency_squared(assemble_stiffness(many), lumped_masses(many), all), 0);
   FreeRun with_factor(many, all), without(many, all);
   CHECK(speed_after(with_factor, 0.99 * undamped / std::sqrt(1.7), 0.7, 3000) < 10);
   CHECK(speed_after(without, 0.99 * undamped, 0.7, 3000) > 1e9);
@@ -170,8 +169,7 @@ TEST_CASE("the ledger of an undamped free vibration closes to round-off for any 
   // it would swing with the step.
   const Grid grid = distorted_brick();
   const Vec3s is_free(grid.node_count(), Vec3::Ones());
-  const double limit = stable_step(
-      dense_frequency_squared(assemble_stiffness(grid, test_moduli), lumped_masses(grid, test_density), is_free), 0);
+  const double limit = stable_step(dense_frequency_squared(assemble_stiffness(grid), lumped_masses(grid), is_free), 0);
   for (double fraction : {0.9, 0.45, 0.1}) {
     FreeRun run(grid, is_free);
     Random random(6);
@@ -196,7 +194,7 @@ TEST_CASE("the ledger accounts for gravity, damping, loads at the interface and 
   // Half of each step's damping work is booked on either side of n, so nothing is left over but the step change of the
   // first load.
   const Grid grid = brick(1, 1, 1, 3, 3, 3);
-  const std::vector<double> mass = lumped_masses(grid, test_density);
+  const std::vector<double> mass = lumped_masses(grid);
   FreeRun run(grid, free_components(grid, Supports::BottomFixed, mass));
   const InterfaceSurface surface = interface_surface(grid);
   const Vec3s push(surface.node_count(), Vec3(3, 0, -20)), fading(surface.node_count(), Vec3(0, 5, 0));

@@ -10,25 +10,24 @@ namespace lockstep::continuum {
 namespace {
 
 struct Ground {
-  Grid grid = build_cylinder_in_brick(small_cylinder());
+  Grid grid = small_cylinder();
   InterfaceSurface surface = interface_surface(grid);
-  std::vector<double> mass = lumped_masses(grid, test_density);
+  std::vector<double> mass = lumped_masses(grid);
   Vec3s is_free = free_components(grid, Supports::Rollers, mass);
   Vec3s u;
   double gravity = 9.81;
 
   Ground() {
-    reach_equilibrium(assemble_stiffness(grid, test_moduli), mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-6, 1000, 0.9,
-                      u, {});
+    reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-6, 1000, 0.9, u, {});
   }
-  Vec3s reaction() const { return discrete_domain_reaction(grid, surface, test_moduli, test_density, gravity, u); }
+  Vec3s reaction() const { return discrete_domain_reaction(grid, surface, gravity, u); }
 };
 
 }  // namespace
 
 TEST_CASE("facets point into the grains and close the hole") {
   const Ground g;
-  const CylinderMesh m = small_cylinder();
+  const CylinderMesh m = small_cylinder_mesh();
   double side = 0, bottom = 0;
   int rings = 0;
   for (std::size_t f = 0; f < g.surface.facet_count(); ++f) {
@@ -53,13 +52,13 @@ TEST_CASE("facets point into the grains and close the hole") {
 }
 
 TEST_CASE("no interface position is minus zero, whose bits adding nothing would change") {
-  for (const Vec3& x : interface_surface(build_cylinder_in_brick(small_cylinder())).position)
+  for (const Vec3& x : interface_surface(small_cylinder()).position)
     for (int c = 0; c < 3; ++c) CHECK_FALSE((x[c] == 0 && std::signbit(x[c])));
 }
 
 TEST_CASE("the mesh fills the brick once, and the discrete domain the hole") {
-  const Grid grid = build_cylinder_in_brick(small_cylinder());
-  const CylinderMesh m = small_cylinder();
+  const Grid grid = small_cylinder();
+  const CylinderMesh m = small_cylinder_mesh();
   double volume = 0, inside = 0;
   std::size_t left = 0;
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
@@ -90,10 +89,10 @@ TEST_CASE("counts of 32 x 15 x 38 and 5 levels below leave the paper's 21,280 zo
 TEST_CASE("the ground is in equilibrium with its zones deleted and their reaction in place") {
   const Ground g;
   const std::vector<char> is_left = zones_outside_discrete_domain(g.grid);
-  const std::vector<double> mass = lumped_masses(g.grid, test_density, is_left);
+  const std::vector<double> mass = lumped_masses(g.grid, is_left);
   const Vec3s after = free_components(g.grid, Supports::AllFixed, mass);
   Vec3s f(g.grid.node_count());
-  assemble_stiffness(g.grid, test_moduli, is_left).multiply(g.u, f);
+  assemble_stiffness(g.grid, is_left).multiply(g.u, f);
   for (std::size_t i = 0; i < f.size(); ++i) f[i] = Vec3(0, 0, -mass[i] * g.gravity) - f[i];
   const Vec3s reaction = g.reaction();
   double open = 0, worst = 0, scale = 0;
@@ -118,11 +117,11 @@ TEST_CASE("the deleted zones' reaction is their weight, and its traction the ear
   INFO("sum of reactions over weight: " << total.transpose() / (deleted * g.gravity));
   CHECK((total + Vec3(0, 0, deleted * g.gravity)).norm() / (deleted * g.gravity) < 1e-9);
 
-  const std::vector<Voigt> stress = facet_stress(g.grid, g.surface, test_moduli, g.u);
+  const std::vector<Voigt> stress = facet_stress(g.grid, g.surface, g.u);
   const Vec3s traction = facet_traction(g.surface, stress, reaction);
   Vec3 lumped = Vec3::Zero();
   double worst_ring = 0, worst_bottom = 0, worst_stress = 0;
-  const CylinderMesh m = small_cylinder();
+  const CylinderMesh m = small_cylinder_mesh();
   std::vector<double> ring_force(m.zones_hole_depth, 0.0), ring_area(m.zones_hole_depth, 0.0);
   for (std::size_t f = 0; f < g.surface.facet_count(); ++f) {
     const FacetCorners x = g.surface.corners(f);
@@ -150,7 +149,7 @@ TEST_CASE("the deleted zones' reaction is their weight, and its traction the ear
   CHECK(worst_ring < 0.05);
   CHECK(worst_bottom < 0.05);
 
-  const std::vector<LevelStress> profile = discrete_domain_profile(g.grid, test_moduli, g.u);
+  const std::vector<LevelStress> profile = discrete_domain_profile(g.grid, g.u);
   REQUIRE(profile.size() == 6);
   for (std::size_t l = 0; l < profile.size(); ++l) {
     if (l > 0) CHECK(profile[l].z > profile[l - 1].z);
@@ -160,13 +159,12 @@ TEST_CASE("the deleted zones' reaction is their weight, and its traction the ear
 }
 
 TEST_CASE("deleting zones leaves the stiffness of the others and no trace of the deleted") {
-  const Grid grid = build_cylinder_in_brick(small_cylinder());
+  const Grid grid = small_cylinder();
   const std::vector<char> is_left = zones_outside_discrete_domain(grid);
-  const StiffnessMatrix all = assemble_stiffness(grid, test_moduli),
-                        left = assemble_stiffness(grid, test_moduli, is_left);
+  const StiffnessMatrix all = assemble_stiffness(grid), left = assemble_stiffness(grid, is_left);
   std::vector<char> is_deleted = is_left;
   for (char& c : is_deleted) c = !c;
-  const StiffnessMatrix deleted = assemble_stiffness(grid, test_moduli, is_deleted);
+  const StiffnessMatrix deleted = assemble_stiffness(grid, is_deleted);
   Random random(4);
   Vec3s u(grid.node_count()), f(u.size()), g(u.size()), h(u.size());
   for (Vec3& v : u) v = Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
@@ -175,7 +173,7 @@ TEST_CASE("deleting zones leaves the stiffness of the others and no trace of the
   for (std::size_t i = 0; i < u.size(); ++i)
     error = std::max(error, (f[i] - g[i] - h[i]).norm()), scale = std::max(scale, f[i].norm());
   CHECK(error / scale < 1e-14);
-  const std::vector<double> mass = lumped_masses(grid, test_density, is_left);
+  const std::vector<double> mass = lumped_masses(grid, is_left);
   for (std::size_t i = 0; i < u.size(); ++i)
     if (mass[i] == 0) CHECK(left.row_begin[i] == left.row_begin[i + 1]);
 }
@@ -183,10 +181,10 @@ TEST_CASE("deleting zones leaves the stiffness of the others and no trace of the
 TEST_CASE("a support that is taken away stays as its reaction") {
   // A column between rollers is let go at its sides: with the reactions kept, nothing moves.
   const Grid grid = brick(1, 1, 2, 2, 2, 4);
-  const std::vector<double> mass = lumped_masses(grid, test_density);
+  const std::vector<double> mass = lumped_masses(grid);
   const Vec3s before = free_components(grid, Supports::Rollers, mass),
               after = free_components(grid, Supports::BottomFixed, mass);
-  const StiffnessMatrix k = assemble_stiffness(grid, test_moduli);
+  const StiffnessMatrix k = assemble_stiffness(grid);
   const Vec3s load = weights(mass, 9.81);
   Vec3s u, f;
   solve_static(k, before, load, u, {});

@@ -19,12 +19,19 @@ namespace lockstep::continuum {
 inline const double test_density = 1630;  // [kg/m3]
 inline const ElasticModuli test_moduli = elastic_moduli(44.3e6, 0.3);
 
-inline Grid brick(double x, double y, double z, int nx, int ny, int nz) {
+inline const Material test_material = {test_moduli, test_density};
+
+inline Grid of_one_material(Grid grid, const Material& material) {
+  grid.materials = {material};
+  return grid;
+}
+
+inline Grid brick(double x, double y, double z, int nx, int ny, int nz, const Material& material = test_material) {
   BlockMesh m;
   m.width_x = x, m.width_y = y, m.height = z, m.top_z = 0;
   m.zones_x = nx, m.zones_y = ny, m.zones_z = nz;
   m.where = "test";
-  return build_block(m);
+  return of_one_material(build_block(m), material);
 }
 
 // Moves each node by up to `share` of `size` in each direction: faces warp too.
@@ -34,7 +41,7 @@ inline void distort(Grid& grid, double size, double share) {
     for (int c = 0; c < 3; ++c) x[c] += share * size * random.uniform(-1, 1);
 }
 
-inline CylinderMesh small_cylinder() {
+inline CylinderMesh small_cylinder_mesh() {
   CylinderMesh m;
   m.width = 3, m.depth = 4, m.hole_diameter = 0.875, m.hole_depth = 2.5;
   m.zones_around = 16, m.zones_radial = 5, m.zones_hole_depth = 6, m.zones_below = 3;
@@ -42,6 +49,8 @@ inline CylinderMesh small_cylinder() {
   m.where = "test";
   return m;
 }
+
+inline Grid small_cylinder() { return of_one_material(build_cylinder_in_brick(small_cylinder_mesh()), test_material); }
 
 inline Vec3s weights(const std::vector<double>& mass, double gravity) {
   Vec3s load(mass.size(), Vec3::Zero());
@@ -57,10 +66,10 @@ struct FreeRun {
   Motion motion;
   Vec3s internal;
 
-  FreeRun(Grid g, const Vec3s& is_free, const ElasticModuli& moduli = test_moduli)
+  FreeRun(Grid g, const Vec3s& is_free)
       : grid(std::move(g)),
-        force{assemble_stiffness(grid, moduli), Vec3s(grid.node_count(), Vec3::Zero())},
-        integrator(lumped_masses(grid, test_density), is_free),
+        force{assemble_stiffness(grid), Vec3s(grid.node_count(), Vec3::Zero())},
+        integrator(lumped_masses(grid), is_free),
         motion{Vec3s(grid.node_count(), Vec3::Zero()), Vec3s(grid.node_count(), Vec3::Zero())},
         internal(grid.node_count()) {}
 
