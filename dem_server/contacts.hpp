@@ -30,10 +30,10 @@
 #include <optional>
 #include <vector>
 
+#include "common/instructions.hpp"
 #include "common/hash.hpp"
 #include "common/parallel.hpp"
 #include "dem_server/contact_law.hpp"
-#include "dem_server/instructions.hpp"
 #include "dem_server/neighbor_search.hpp"
 #include "dem_server/pair_kernel.hpp"
 #include "dem_server/particles.hpp"

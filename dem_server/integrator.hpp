@@ -30,8 +30,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/instructions.hpp"
 #include "common/parallel.hpp"
-#include "dem_server/instructions.hpp"
 #include "dem_server/particles.hpp"
 #include "dem_server/travel.hpp"
 

@@ -1,137 +1,10 @@
-// Vectors of doubles, as wide as the instruction set that this is compiled for: 8, 4 or 2 lanes. Included only by
-// kernels that are compiled once for each instruction set; everything is local to the file that includes it.
-//
-// All arithmetic is that of single doubles, lane by lane, without contraction: any width gives the same bits. Sums over
-// lanes are kept as eight partial sums whatever the width (Sum8).
+// What the grains' kernels add to common/lanes.hpp: loads of eight bodies at a time.
 #pragma once
-#if defined(__SSE2__)
-#include <immintrin.h>
-#endif
-
+#include "common/lanes.hpp"
 #include "dem_server/records.hpp"
 
 namespace lockstep::dem {
 namespace {
-
-#if defined(__AVX512F__)
-constexpr int width = 8;
-#elif defined(__AVX2__)
-constexpr int width = 4;
-#else
-constexpr int width = 2;
-#endif
-constexpr int block = 8;  // entries of a tile, for any width
-
-using Lanes [[gnu::vector_size(8 * width)]] = double;
-using Mask [[gnu::vector_size(8 * width)]] = long long;
-using Row [[gnu::vector_size(32)]] = double;  // half a record
-using RowMask [[gnu::vector_size(32)]] = long long;
-using Pair [[gnu::vector_size(16)]] = double;
-
-#define LOCKSTEP_INLINE inline __attribute__((always_inline))
-
-LOCKSTEP_INLINE Lanes lanes(double value) { return Lanes{} + value; }
-LOCKSTEP_INLINE Lanes load(const double* from) { return *reinterpret_cast<const Lanes*>(from); }
-LOCKSTEP_INLINE void store(double* to, Lanes value) { *reinterpret_cast<Lanes*>(to) = value; }
-LOCKSTEP_INLINE Row row(const double* from) { return *reinterpret_cast<const Row*>(from); }
-LOCKSTEP_INLINE void add_row(double* to, Row value) { *reinterpret_cast<Row*>(to) += value; }
-LOCKSTEP_INLINE Row spread(double value) { return Row{} + value; }
-
-LOCKSTEP_INLINE Lanes select(Mask which, Lanes yes, Lanes no) { return which ? yes : no; }
-LOCKSTEP_INLINE Lanes larger(Lanes a, Lanes b) { return a > b ? a : b; }
-LOCKSTEP_INLINE Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
-
-LOCKSTEP_INLINE Lanes square_root(Lanes x) {
-#if defined(__AVX512F__)
-  return _mm512_sqrt_pd(x);
-#elif defined(__AVX2__)
-  return _mm256_sqrt_pd(x);
-#elif defined(__SSE2__)
-  return _mm_sqrt_pd(x);
-#else
-  for (int l = 0; l < width; ++l) x[l] = __builtin_sqrt(x[l]);
-  return x;
-#endif
-}
-
-LOCKSTEP_INLINE bool any(Mask m) {
-#if defined(__AVX512F__)
-  return _mm512_test_epi64_mask((__m512i)m, (__m512i)m) != 0;
-#elif defined(__AVX2__)
-  return !_mm256_testz_si256((__m256i)m, (__m256i)m);
-#else
-  long long all = 0;
-  for (int l = 0; l < width; ++l) all |= m[l];
-  return all != 0;
-#endif
-}
-
-// ---- vectors in space, lane by lane
-
-struct Lanes3 {
-  Lanes x, y, z;
-};
-LOCKSTEP_INLINE Lanes3 operator+(const Lanes3& a, const Lanes3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-LOCKSTEP_INLINE Lanes3 operator-(const Lanes3& a, const Lanes3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-LOCKSTEP_INLINE Lanes3 operator*(Lanes s, const Lanes3& a) { return {s * a.x, s * a.y, s * a.z}; }
-LOCKSTEP_INLINE Lanes dot(const Lanes3& a, const Lanes3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-LOCKSTEP_INLINE Lanes3 cross(const Lanes3& a, const Lanes3& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-LOCKSTEP_INLINE Lanes3 select(Mask which, const Lanes3& yes, const Lanes3& no) {
-  return {select(which, yes.x, no.x), select(which, yes.y, no.y), select(which, yes.z, no.z)};
-}
-
-// ---- `width` rows of four <-> four lanes: transposed in registers, since gathers are slower than loads and shuffles
-
-struct Lanes4 {
-  Lanes x, y, z, w;
-};
-
-#if defined(__AVX512F__)
-LOCKSTEP_INLINE Lanes join(Row a, Row b) { return _mm512_insertf64x4(_mm512_castpd256_pd512(a), b, 1); }
-LOCKSTEP_INLINE Lanes4 transpose(const Row* r) {
-  const Lanes r02 = join(r[0], r[2]), r13 = join(r[1], r[3]), r46 = join(r[4], r[6]), r57 = join(r[5], r[7]);
-  const Lanes xz_low = _mm512_unpacklo_pd(r02, r13), yw_low = _mm512_unpackhi_pd(r02, r13);
-  const Lanes xz_high = _mm512_unpacklo_pd(r46, r57), yw_high = _mm512_unpackhi_pd(r46, r57);
-  return {_mm512_shuffle_f64x2(xz_low, xz_high, 0x88), _mm512_shuffle_f64x2(yw_low, yw_high, 0x88),
-          _mm512_shuffle_f64x2(xz_low, xz_high, 0xdd), _mm512_shuffle_f64x2(yw_low, yw_high, 0xdd)};
-}
-LOCKSTEP_INLINE void transpose(const Lanes4& v, Row* r) {
-  const Lanes xy_even = _mm512_unpacklo_pd(v.x, v.y), xy_odd = _mm512_unpackhi_pd(v.x, v.y);
-  const Lanes zw_even = _mm512_unpacklo_pd(v.z, v.w), zw_odd = _mm512_unpackhi_pd(v.z, v.w);
-  const auto low = [](Lanes a) -> Row { return _mm512_castpd512_pd256(a); };
-  const auto high = [](Lanes a) -> Row { return _mm512_extractf64x4_pd(a, 1); };
-  const Row half[8] = {low(xy_even),  low(zw_even),  low(xy_odd),  low(zw_odd),
-                       high(xy_even), high(zw_even), high(xy_odd), high(zw_odd)};
-  r[0] = _mm256_permute2f128_pd(half[0], half[1], 0x20), r[2] = _mm256_permute2f128_pd(half[0], half[1], 0x31);
-  r[1] = _mm256_permute2f128_pd(half[2], half[3], 0x20), r[3] = _mm256_permute2f128_pd(half[2], half[3], 0x31);
-  r[4] = _mm256_permute2f128_pd(half[4], half[5], 0x20), r[6] = _mm256_permute2f128_pd(half[4], half[5], 0x31);
-  r[5] = _mm256_permute2f128_pd(half[6], half[7], 0x20), r[7] = _mm256_permute2f128_pd(half[6], half[7], 0x31);
-}
-#elif defined(__AVX2__)
-LOCKSTEP_INLINE Lanes4 transpose(const Row* r) {
-  const Row xz_low = _mm256_unpacklo_pd(r[0], r[1]), yw_low = _mm256_unpackhi_pd(r[0], r[1]);
-  const Row xz_high = _mm256_unpacklo_pd(r[2], r[3]), yw_high = _mm256_unpackhi_pd(r[2], r[3]);
-  return {_mm256_permute2f128_pd(xz_low, xz_high, 0x20), _mm256_permute2f128_pd(yw_low, yw_high, 0x20),
-          _mm256_permute2f128_pd(xz_low, xz_high, 0x31), _mm256_permute2f128_pd(yw_low, yw_high, 0x31)};
-}
-LOCKSTEP_INLINE void transpose(const Lanes4& v, Row* r) {
-  const Lanes rows[4] = {v.x, v.y, v.z, v.w};
-  const Lanes4 turned = transpose(rows);
-  r[0] = turned.x, r[1] = turned.y, r[2] = turned.z, r[3] = turned.w;
-}
-#else
-LOCKSTEP_INLINE Pair low(Row r) { return Pair{r[0], r[1]}; }
-LOCKSTEP_INLINE Pair high(Row r) { return Pair{r[2], r[3]}; }
-LOCKSTEP_INLINE Lanes4 transpose(const Row* r) {
-  const Pair a = low(r[0]), b = low(r[1]), c = high(r[0]), d = high(r[1]);
-  return {Lanes{a[0], b[0]}, Lanes{a[1], b[1]}, Lanes{c[0], d[0]}, Lanes{c[1], d[1]}};
-}
-LOCKSTEP_INLINE void transpose(const Lanes4& v, Row* r) {
-  for (int l = 0; l < 2; ++l) r[l] = Row{v.x[l], v.y[l], v.z[l], v.w[l]};
-}
-#endif
 
 // Adds f and t of each lane to the load record `on` of that lane, and takes f and u from `off`, one lane after the other.
 // The fourth of each is unused.
@@ -176,21 +49,6 @@ LOCKSTEP_INLINE void add_loads(const Lanes4& f, const Lanes4& t, const Lanes4& u
   }
 }
 #endif
-
-// Eight partial sums, one a lane of a tile; added up in the same order for any width.
-struct Sum8 {
-  alignas(64) double part[block] = {};
-  LOCKSTEP_INLINE void add(int begin, Lanes value) { store(part + begin, load(part + begin) + value); }
-  LOCKSTEP_INLINE void raise(int begin, Lanes value) { store(part + begin, larger(load(part + begin), value)); }
-  double total() const {
-    return ((part[0] + part[1]) + (part[2] + part[3])) + ((part[4] + part[5]) + (part[6] + part[7]));
-  }
-  double largest() const {
-    double most = part[0];
-    for (int l = 1; l < block; ++l) most = part[l] > most ? part[l] : most;
-    return most;
-  }
-};
 
 }  // namespace
 }  // namespace lockstep::dem

@@ -3,7 +3,7 @@
 #include <string_view>
 #include <vector>
 
-namespace lockstep::dem {
+namespace lockstep {
 
 enum class InstructionSet { Generic, Avx2, Avx512 };
 
@@ -14,4 +14,4 @@ InstructionSet best_instructions();
 InstructionSet instructions_by_name(std::string_view name);
 std::string_view name_of(InstructionSet set);
 
-}  // namespace lockstep::dem
+}  // namespace lockstep

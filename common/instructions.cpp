@@ -1,11 +1,11 @@
-#include "dem_server/instructions.hpp"
+#include "common/instructions.hpp"
 
 #include <array>
 #include <utility>
 
 #include "common/checks.hpp"
 
-namespace lockstep::dem {
+namespace lockstep {
 
 namespace {
 
@@ -48,4 +48,4 @@ std::string_view name_of(InstructionSet set) {
   return "";
 }
 
-}  // namespace lockstep::dem
+}  // namespace lockstep
