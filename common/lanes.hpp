@@ -31,6 +31,10 @@ using Pair [[gnu::vector_size(16)]] = double;
 LOCKSTEP_INLINE Lanes lanes(double value) { return Lanes{} + value; }
 LOCKSTEP_INLINE Lanes load(const double* from) { return *reinterpret_cast<const Lanes*>(from); }
 LOCKSTEP_INLINE void store(double* to, Lanes value) { *reinterpret_cast<Lanes*>(to) = value; }
+// The same for any address of a double.
+using LooseLanes [[gnu::vector_size(8 * width), gnu::aligned(8)]] = double;
+LOCKSTEP_INLINE Lanes loose(const double* from) { return *reinterpret_cast<const LooseLanes*>(from); }
+LOCKSTEP_INLINE void store_loose(double* to, Lanes value) { *reinterpret_cast<LooseLanes*>(to) = value; }
 LOCKSTEP_INLINE Row row(const double* from) { return *reinterpret_cast<const Row*>(from); }
 LOCKSTEP_INLINE void add_row(double* to, Row value) { *reinterpret_cast<Row*>(to) += value; }
 LOCKSTEP_INLINE Row spread(double value) { return Row{} + value; }
@@ -128,6 +132,50 @@ LOCKSTEP_INLINE Lanes4 transpose(const Row* r) {
 }
 LOCKSTEP_INLINE void transpose(const Lanes4& v, Row* r) {
   for (int l = 0; l < 2; ++l) r[l] = Row{v.x[l], v.y[l], v.z[l], v.w[l]};
+}
+#endif
+
+// ---- `width` vectors in space, three doubles each in memory one after the other <-> three lanes
+
+#if defined(__AVX512F__)
+LOCKSTEP_INLINE Lanes3 load_vectors(const double* from) {
+  const Lanes a = loose(from), b = loose(from + 8), c = loose(from + 16);
+  const Lanes x = __builtin_shufflevector(a, b, 0, 3, 6, 9, 12, 15, 15, 15);
+  const Lanes y = __builtin_shufflevector(a, b, 1, 4, 7, 10, 13, 13, 13, 13);
+  const Lanes z = __builtin_shufflevector(a, b, 2, 5, 8, 11, 14, 14, 14, 14);
+  return {__builtin_shufflevector(x, c, 0, 1, 2, 3, 4, 5, 10, 13),
+          __builtin_shufflevector(y, c, 0, 1, 2, 3, 4, 8, 11, 14),
+          __builtin_shufflevector(z, c, 0, 1, 2, 3, 4, 9, 12, 15)};
+}
+LOCKSTEP_INLINE void store_vectors(double* to, const Lanes3& v) {
+  const Lanes a = __builtin_shufflevector(v.x, v.y, 0, 8, 8, 1, 9, 9, 2, 10);
+  const Lanes b = __builtin_shufflevector(v.x, v.y, 3, 3, 11, 4, 4, 12, 5, 5);
+  const Lanes c = __builtin_shufflevector(v.x, v.y, 13, 6, 6, 14, 7, 7, 15, 15);
+  store_loose(to, __builtin_shufflevector(a, v.z, 0, 1, 8, 3, 4, 9, 6, 7));
+  store_loose(to + 8, __builtin_shufflevector(b, v.z, 10, 0, 2, 11, 3, 5, 12, 6));
+  store_loose(to + 16, __builtin_shufflevector(c, v.z, 0, 13, 1, 3, 14, 4, 6, 15));
+}
+#elif defined(__AVX2__)
+LOCKSTEP_INLINE Lanes3 load_vectors(const double* from) {
+  const Lanes a = loose(from), b = loose(from + 4), c = loose(from + 8);
+  const Lanes x = __builtin_shufflevector(a, b, 0, 3, 6, 6), y = __builtin_shufflevector(a, b, 1, 4, 7, 7);
+  const Lanes z = __builtin_shufflevector(a, b, 2, 5, 5, 5);
+  return {__builtin_shufflevector(x, c, 0, 1, 2, 5), __builtin_shufflevector(y, c, 0, 1, 2, 6),
+          __builtin_shufflevector(z, c, 0, 1, 4, 7)};
+}
+LOCKSTEP_INLINE void store_vectors(double* to, const Lanes3& v) {
+  const Lanes a = __builtin_shufflevector(v.x, v.y, 0, 4, 1, 1), b = __builtin_shufflevector(v.x, v.y, 5, 5, 2, 6);
+  const Lanes c = __builtin_shufflevector(v.x, v.y, 3, 3, 7, 7);
+  store_loose(to, __builtin_shufflevector(a, v.z, 0, 1, 4, 2));
+  store_loose(to + 4, __builtin_shufflevector(b, v.z, 0, 5, 2, 3));
+  store_loose(to + 8, __builtin_shufflevector(c, v.z, 6, 0, 2, 7));
+}
+#else
+LOCKSTEP_INLINE Lanes3 load_vectors(const double* from) {
+  return {Lanes{from[0], from[3]}, Lanes{from[1], from[4]}, Lanes{from[2], from[5]}};
+}
+LOCKSTEP_INLINE void store_vectors(double* to, const Lanes3& v) {
+  for (int l = 0; l < width; ++l) to[3 * l] = v.x[l], to[3 * l + 1] = v.y[l], to[3 * l + 2] = v.z[l];
 }
 #endif
 

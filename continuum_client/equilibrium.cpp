@@ -33,6 +33,7 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
       if (is_free[i][c] == 0) d(c, c) = 1;
     inverse[i] = d.inverse();
   }
+  StiffnessProduct product(stiffness);
   Vec3s r(count), z(count), p(count), kp(count);
   for (std::size_t i = 0; i < count; ++i) r[i] = force[i].cwiseProduct(is_free[i]);
   const double load = std::sqrt(dot(r, r));
@@ -53,7 +54,7 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
       const double rz_new = dot(r, z), b = rz > 0 ? rz_new / rz : 0.0;
       rz = rz_new;
       for (std::size_t i = 0; i < count; ++i) p[i] = b > 0 ? Vec3(z[i] + b * p[i]) : z[i];
-      stiffness.multiply(p, kp);
+      product.evaluate(p, {}, kp);
       double pkp = 0;
       for (std::size_t i = 0; i < count; ++i) kp[i] = kp[i].cwiseProduct(is_free[i]), pkp += p[i].dot(kp[i]);
       if (!(pkp > 0)) break;
@@ -69,7 +70,7 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
         progress(fmt::format("solving for the initial stress, residual {:.1e}", residual),
                  std::clamp(std::log(residual) / std::log(solver_tolerance), 0.0, 1.0));
     }
-    stiffness.multiply(u, kp);
+    product.evaluate(u, {}, kp);
     for (std::size_t i = 0; i < count; ++i) r[i] = (force[i] - kp[i]).cwiseProduct(is_free[i]);
     report.relative_residual = std::sqrt(dot(r, r)) / load;
     // Forces of slender zones cancel to a small rest: what rounding leaves of them is the best that can be had.
@@ -106,9 +107,10 @@ EquilibriumReport reach_equilibrium(const StiffnessMatrix& stiffness, const std:
   NodalLoads loads;
   loads.gravity = gravity;
   Vec3s internal(mass.size());
+  StiffnessProduct product(stiffness);
   const double no_limit = std::numeric_limits<double>::max();
   do {
-    stiffness.multiply(motion.displacement, internal);
+    product.evaluate(motion.displacement, {}, internal);
     const StepSums sums =
         integrator.advance(motion, internal, nothing, loads, damping, {report.time_step, report.time_step}, no_limit);
     report.unbalanced_ratio = sums.unbalanced_ratio();

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "common/checks.hpp"
+#include "continuum_client/constants.hpp"
 
 namespace lockstep::continuum {
 
@@ -31,6 +32,21 @@ double fastest_wave(const Grid& grid) {
   double fastest = 0;
   for (const Material& m : grid.materials) fastest = std::max(fastest, p_wave_speed(m.moduli, m.density));
   return fastest;
+}
+
+std::vector<std::int32_t> representative_zones(const Grid& grid) {
+  std::vector<std::int32_t> representative(grid.zone_count());
+  for (std::size_t z = 0; z < grid.zone_count(); ++z) {
+    representative[z] = static_cast<std::int32_t>(z);
+    if (z == 0 || grid.material[z] != grid.material[z - 1]) continue;
+    const auto candidate = static_cast<std::size_t>(representative[z - 1]);
+    const ZoneVectors mine = grid.corners(z), its = grid.corners(candidate);
+    const double tolerance = congruence_tolerance * (its[6] - its[0]).norm();
+    bool is_translate = true;
+    for (int a = 1; a < 8; ++a) is_translate &= ((mine[a] - mine[0]) - (its[a] - its[0])).norm() <= tolerance;
+    if (is_translate) representative[z] = representative[candidate];
+  }
+  return representative;
 }
 
 void check_zones(const Grid& grid, const std::string& where) {

@@ -47,6 +47,10 @@ std::vector<char> zones_outside_discrete_domain(const Grid& grid);
 // The largest P-wave speed of its materials [m/s].
 double fastest_wave(const Grid& grid);
 
+// For each zone one that is its translate, to 1e-12 of its size, and of its material: the lowest of its column from which
+// all are alike. Zones share the representative's matrices, so that levels of equal height have equal ones to the last bit.
+std::vector<std::int32_t> representative_zones(const Grid& grid);
+
 // Throws InputError with `where` if a zone is turned inside out or flat.
 void check_zones(const Grid& grid, const std::string& where);
 

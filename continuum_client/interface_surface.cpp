@@ -51,9 +51,10 @@ void gather_interface(const InterfaceSurface& surface, const Vec3s& field, Vec3s
 Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface, double gravity,
                                const Vec3s& displacement) {
   Vec3s force(grid.node_count(), Vec3::Zero());
+  const std::vector<std::int32_t> representative = representative_zones(grid);
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!grid.in_discrete_domain[z]) continue;
-    const ZoneGeometry geometry = grid.geometry(z);
+    const ZoneGeometry geometry = grid.geometry(representative[z]);
     // The assembled operator's own numbers, so that putting f_A in place of the zones leaves round-off alone.
     const ZoneMatrix stiffness = zone_stiffness(geometry, grid.moduli(z));
     const std::array<double, 8> volume = nodal_volumes(geometry);

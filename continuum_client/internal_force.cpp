@@ -47,9 +47,15 @@ StiffnessMatrix assemble_stiffness(const Grid& grid, const std::vector<char>& is
     row = {};
   }
   k.block.assign(k.column.size(), Mat3::Zero());
+  const std::vector<std::int32_t> representative = representative_zones(grid);
+  ZoneMatrix zone;
+  std::int32_t zone_of = -1;
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!included(z)) continue;
-    const ZoneMatrix zone = zone_stiffness(grid.geometry(z), grid.moduli(z));
+    if (representative[z] != zone_of) {
+      zone_of = representative[z];
+      zone = zone_stiffness(grid.geometry(zone_of), grid.moduli(zone_of));
+    }
     for (int a = 0; a < 8; ++a)
       for (int b = 0; b < 8; ++b) {
         const std::int32_t i = grid.zone[z][a], j = grid.zone[z][b];
@@ -72,9 +78,7 @@ std::vector<double> lumped_masses(const Grid& grid, const std::vector<char>& is_
   return mass;
 }
 
-void InternalForce::evaluate(const Vec3s& u, Vec3s& f) const {
-  stiffness.multiply(u, f);
-  for (std::size_t i = 0; i < f.size(); ++i) f[i] += reference[i];
-}
+InternalForce::InternalForce(const StiffnessMatrix& stiffness, InstructionSet instructions)
+    : reference(stiffness.node_count(), Vec3::Zero()), product_(stiffness, instructions) {}
 
 }  // namespace lockstep::continuum

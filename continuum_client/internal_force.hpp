@@ -17,6 +17,7 @@
 #include "common/vectors.hpp"
 #include "continuum_client/elastic_law.hpp"
 #include "continuum_client/grid.hpp"
+#include "continuum_client/stiffness_product.hpp"
 
 namespace lockstep::continuum {
 
@@ -41,12 +42,19 @@ StiffnessMatrix assemble_stiffness(const Grid& grid, const std::vector<char>& is
 // Lumped nodal masses of the same zones [kg].
 std::vector<double> lumped_masses(const Grid& grid, const std::vector<char>& is_included = {});
 
-struct InternalForce {
-  StiffnessMatrix stiffness;
-  Vec3s reference;  // f0 per node [N]
+// f = f0 + K u.
+class InternalForce {
+ public:
+  InternalForce() = default;
+  explicit InternalForce(const StiffnessMatrix& stiffness, InstructionSet instructions = best_instructions());
 
-  // f = f0 + K u [N].
-  void evaluate(const Vec3s& u, Vec3s& f) const;
+  Vec3s reference;  // f0 per node, zero at first [N]
+
+  void evaluate(const Vec3s& u, Vec3s& f, Team& team = Team::alone()) { product_.evaluate(u, reference, f, team); }
+  const StiffnessProduct& product() const { return product_; }
+
+ private:
+  StiffnessProduct product_;
 };
 
 }  // namespace lockstep::continuum

@@ -99,8 +99,8 @@ class Stages {
     take_reference_state();
     StepGuard& guard = ground_.guard;
     guard.fraction = settings_.step_fraction, guard.damping = settings_.run_damping;
-    guard.zone_frequency_squared = frequency_squared_bound(ground_.internal_force.stiffness, ground_.integrator.mass(),
-                                                           ground_.integrator.is_free());
+    guard.zone_frequency_squared = frequency_squared_bound(stiffness_, mass_, ground_.integrator.is_free());
+    stiffness_ = {};
     guard.zones_limit = guard.interface_limit = guard.grains_limit =
         stable_step(guard.zone_frequency_squared, guard.damping);
     start_clock(guard.fraction * guard.limit());
@@ -140,13 +140,13 @@ class Stages {
     report_.zones = grid.zone_count(), report_.nodes = grid.node_count();
     report_.interface_nodes = ground_.interface.node_count(), report_.facets = ground_.interface.facet_count();
     beat("assembling the ground", 0);
-    ground_.internal_force.stiffness = assemble_stiffness(grid);
+    stiffness_ = assemble_stiffness(grid);
     mass_ = lumped_masses(grid);
     is_free_ = free_components(grid, settings_.initial_supports, mass_);
     ground_.gravity = Vec3(0, 0, -settings_.gravity);
     beat("looking for equilibrium", 0);
     report_.equilibrium =
-        reach_equilibrium(ground_.internal_force.stiffness, mass_, is_free_, ground_.gravity, settings_.initial_damping,
+        reach_equilibrium(stiffness_, mass_, is_free_, ground_.gravity, settings_.initial_damping,
                           settings_.equilibrium_tolerance, settings_.equilibrium_max_cycles, settings_.step_fraction,
                           initial_, [this](const std::string& text, double fraction) { beat(text, fraction); });
     describe_initial_stress();
@@ -195,7 +195,7 @@ class Stages {
     is_left_ = zones_outside_discrete_domain(grid);
     report_.zones_deleted = static_cast<std::uint64_t>(std::count(is_left_.begin(), is_left_.end(), 0));
     if (report_.zones_deleted > 0) {
-      ground_.internal_force.stiffness = assemble_stiffness(grid, is_left_);
+      stiffness_ = assemble_stiffness(grid, is_left_);
       mass_ = lumped_masses(grid, is_left_);
     }
     take_reference_state();
@@ -203,8 +203,8 @@ class Stages {
 
     StepGuard& guard = ground_.guard;
     guard.fraction = settings_.step_fraction, guard.damping = settings_.largest_damping();
-    guard.zone_frequency_squared = frequency_squared_bound(ground_.internal_force.stiffness, ground_.integrator.mass(),
-                                                           ground_.integrator.is_free());
+    guard.zone_frequency_squared = frequency_squared_bound(stiffness_, mass_, ground_.integrator.is_free());
+    stiffness_ = {};
     guard.zones_limit = stable_step(guard.zone_frequency_squared, guard.damping);
 
     protocol::ContinuumExcavated mine;
@@ -331,8 +331,8 @@ class Stages {
   void take_reference_state() {
     const std::size_t count = ground_.grid.node_count();
     InternalForce& force = ground_.internal_force;
-    force.reference.resize(count);
-    force.stiffness.multiply(initial_, force.reference);
+    force = InternalForce(stiffness_);
+    stiffness_.multiply(initial_, force.reference);
     const Vec3s after = free_components(ground_.grid, settings_.supports, mass_);
     Vec3s weight(count);
     for (std::size_t i = 0; i < count; ++i) weight[i] = mass_[i] * ground_.gravity;
@@ -525,6 +525,7 @@ class Stages {
   CoupledGround ground_;
   RunReport report_;
 
+  StiffnessMatrix stiffness_;  // until the stable step is known; internal_force has its own form of it
   std::vector<double> mass_;   // per node [kg]
   Vec3s is_free_;              // in InitialStress
   Vec3s initial_;              // displacements that gravity caused, for stresses [m]

@@ -17,6 +17,7 @@ double lanczos_frequency_squared(const StiffnessMatrix& stiffness, const std::ve
   // largest eigenvalue rises to that of A.
   const std::size_t count = mass.size();
   Vec3s scale(count, Vec3::Zero()), q(count), last(count, Vec3::Zero()), u(count), w(count);
+  StiffnessProduct product(stiffness);
   Random random(frequency_seed);
   for (std::size_t i = 0; i < count; ++i) {
     if (mass[i] > 0) scale[i] = is_free[i] / std::sqrt(mass[i]);
@@ -32,7 +33,7 @@ double lanczos_frequency_squared(const StiffnessMatrix& stiffness, const std::ve
   std::vector<double> alpha, beta;
   for (int p = 0; p < products; ++p) {
     for (std::size_t i = 0; i < count; ++i) q[i] /= length, u[i] = scale[i].cwiseProduct(q[i]);
-    stiffness.multiply(u, w);
+    product.evaluate(u, {}, w);
     double a = 0;
     for (std::size_t i = 0; i < count; ++i) w[i] = scale[i].cwiseProduct(w[i]), a += q[i].dot(w[i]);
     const double b = beta.empty() ? 0.0 : beta.back();

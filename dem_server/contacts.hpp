@@ -30,8 +30,8 @@
 #include <optional>
 #include <vector>
 
-#include "common/instructions.hpp"
 #include "common/hash.hpp"
+#include "common/instructions.hpp"
 #include "common/parallel.hpp"
 #include "dem_server/contact_law.hpp"
 #include "dem_server/neighbor_search.hpp"

@@ -199,8 +199,7 @@ TEST_CASE("the ledger accounts for gravity, damping, loads at the interface and 
   const InterfaceSurface surface = interface_surface(grid);
   const Vec3s push(surface.node_count(), Vec3(3, 0, -20)), fading(surface.node_count(), Vec3(0, 5, 0));
   const Vec3 gravity(0, 0, -9.81);
-  const double dt =
-      0.5 * stable_step(frequency_squared_bound(run.force.stiffness, mass, run.integrator.is_free()), 0.3);
+  const double dt = 0.5 * stable_step(frequency_squared_bound(run.stiffness, mass, run.integrator.is_free()), 0.3);
   double worst = 0;
   StepSizes steps{dt, dt};
   for (int n = 0; n < 500; ++n) {

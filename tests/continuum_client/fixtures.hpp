@@ -61,6 +61,7 @@ inline Vec3s weights(const std::vector<double>& mass, double gravity) {
 // Without any load or support the ground moves freely.
 struct FreeRun {
   Grid grid;
+  StiffnessMatrix stiffness;
   InternalForce force;
   Integrator integrator;
   Motion motion;
@@ -68,7 +69,8 @@ struct FreeRun {
 
   FreeRun(Grid g, const Vec3s& is_free)
       : grid(std::move(g)),
-        force{assemble_stiffness(grid), Vec3s(grid.node_count(), Vec3::Zero())},
+        stiffness(assemble_stiffness(grid)),
+        force(stiffness),
         integrator(lumped_masses(grid), is_free),
         motion{Vec3s(grid.node_count(), Vec3::Zero()), Vec3s(grid.node_count(), Vec3::Zero())},
         internal(grid.node_count()) {}

@@ -1,0 +1,287 @@
+#include "continuum_client/stiffness_product.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+#include <span>
+
+#include "common/checks.hpp"
+#include "continuum_client/internal_force.hpp"
+
+namespace lockstep::continuum {
+namespace {
+
+StiffnessKernel kernel_of([[maybe_unused]] InstructionSet set) {
+#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+  if (set == InstructionSet::Avx512) return stiffness_kernel_avx512();
+  if (set == InstructionSet::Avx2) return stiffness_kernel_avx2();
+#endif
+  return stiffness_kernel_generic();
+}
+
+// Chunks are what threads share out: more than there will be threads, few enough to cost nothing.
+constexpr std::int32_t chunks_wanted = 32;
+// Half rows: a chunk has this many nodes at least, or twice as many as its highest neighbour is away, so that little is
+// added up twice.
+constexpr std::int32_t fewest_chunk_nodes = 1024;
+
+// A neighbour of a node: node plus offset, the block in the matrix, and whether it is that block's transpose.
+struct Neighbour {
+  std::int32_t offset;
+  std::int64_t block;
+  bool is_transposed;
+};
+
+// Rows of both halves, columns rising.
+class WholeRows {
+ public:
+  explicit WholeRows(const StiffnessMatrix& k) : matrix_(k), lower_begin_(k.node_count() + 1, 0) {
+    const auto count = static_cast<std::int32_t>(k.node_count());
+    for (std::int32_t i = 0; i < count; ++i)
+      for (std::int64_t b = k.row_begin[i]; b < k.row_begin[i + 1]; ++b)
+        if (k.column[b] > i) ++lower_begin_[k.column[b] + 1];
+    std::partial_sum(lower_begin_.begin(), lower_begin_.end(), lower_begin_.begin());
+    lower_.resize(lower_begin_.back());
+    std::vector<std::int64_t> next(lower_begin_.begin(), lower_begin_.end() - 1);
+    for (std::int32_t i = 0; i < count; ++i)
+      for (std::int64_t b = k.row_begin[i]; b < k.row_begin[i + 1]; ++b)
+        if (k.column[b] > i) lower_[next[k.column[b]]++] = {i - k.column[b], b, true};
+  }
+
+  void get(std::int32_t i, std::vector<Neighbour>& row) const {
+    row.assign(lower_.begin() + lower_begin_[i], lower_.begin() + lower_begin_[i + 1]);
+    for (std::int64_t b = matrix_.row_begin[i]; b < matrix_.row_begin[i + 1]; ++b)
+      row.push_back({matrix_.column[b] - i, b, false});
+  }
+
+ private:
+  const StiffnessMatrix& matrix_;
+  std::vector<std::int64_t> lower_begin_;
+  std::vector<Neighbour> lower_;
+};
+
+bool are_same_bits(const Mat3& a, const Mat3& b) { return std::memcmp(a.data(), b.data(), 9 * sizeof(double)) == 0; }
+
+bool are_same_rows(const StiffnessMatrix& k, const std::vector<Neighbour>& a, const std::vector<Neighbour>& b) {
+  return a.size() == b.size() && std::equal(a.begin(), a.end(), b.begin(), [&](const Neighbour& p, const Neighbour& q) {
+           return p.offset == q.offset && p.is_transposed == q.is_transposed &&
+                  are_same_bits(k.block[p.block], k.block[q.block]);
+         });
+}
+
+bool has_same_offsets(const StiffnessMatrix& k, std::int32_t i, std::int32_t j) {
+  const std::int64_t count = k.row_begin[i + 1] - k.row_begin[i];
+  if (count != k.row_begin[j + 1] - k.row_begin[j]) return false;
+  for (std::int64_t n = 0; n < count; ++n)
+    if (k.column[k.row_begin[i] + n] - i != k.column[k.row_begin[j] + n] - j) return false;
+  return true;
+}
+
+// The stretches of nodes that are alike one after the other.
+template <class Alike>
+std::vector<std::pair<std::int32_t, std::int32_t>> stretches(std::int32_t nodes, const Alike& is_like_last) {
+  std::vector<std::pair<std::int32_t, std::int32_t>> found;
+  for (std::int32_t i = 0; i < nodes; ++i) {
+    if (i > 0 && is_like_last(i))
+      ++found.back().second;
+    else
+      found.emplace_back(i, i + 1);
+  }
+  return found;
+}
+
+std::int64_t eights(std::int32_t nodes) { return (nodes + nodes_at_once - 1) / nodes_at_once; }
+
+// Rough costs in cycles of a core with eight lanes: nine products and sums for a block and eight nodes, twice that and
+// the sums' way through memory for half rows, and eight bytes a cycle from a shared cache.
+double shared_cost(std::int32_t nodes, std::size_t neighbours) {
+  return static_cast<double>(neighbours) * (9.0 * static_cast<double>(eights(nodes)) + 9);
+}
+double half_cost(std::int32_t nodes, std::size_t neighbours) {
+  const double blocks = static_cast<double>(neighbours) * nodes;
+  return nodes < fewest_lanes ? 25 * blocks : (25.0 / nodes_at_once + 9) * blocks;
+}
+
+}  // namespace
+
+StiffnessProduct::StiffnessProduct(const StiffnessMatrix& matrix, InstructionSet instructions)
+    : nodes_(static_cast<std::int32_t>(matrix.node_count())), kernel_(kernel_of(instructions)) {
+  const WholeRows rows(matrix);
+  std::vector<Neighbour> row, last;
+  const auto shared = stretches(nodes_, [&](std::int32_t i) {
+    rows.get(i - 1, last), rows.get(i, row);
+    return are_same_rows(matrix, last, row);
+  });
+  double whole = 0, half = 0;
+  for (const auto& [begin, end] : shared) {
+    rows.get(begin, row);
+    whole += shared_cost(end - begin, row.size());
+  }
+  for (const auto& [begin, end] : stretches(nodes_, [&](std::int32_t i) { return has_same_offsets(matrix, i - 1, i); }))
+    half += half_cost(end - begin, static_cast<std::size_t>(matrix.row_begin[begin + 1] - matrix.row_begin[begin]));
+  arrange(matrix, whole <= half ? Format::SharedRows : Format::HalfRows);
+}
+
+StiffnessProduct::StiffnessProduct(const StiffnessMatrix& matrix, Format format, InstructionSet instructions)
+    : nodes_(static_cast<std::int32_t>(matrix.node_count())), kernel_(kernel_of(instructions)) {
+  arrange(matrix, format);
+}
+
+void StiffnessProduct::arrange(const StiffnessMatrix& matrix, Format format) {
+  format_ = format;
+  stride_ = static_cast<std::size_t>(nodes_) + nodes_at_once;
+  u_.assign(3 * stride_, 0.0);
+  zero_.assign(static_cast<std::size_t>(nodes_), Vec3::Zero());
+  if (format == Format::SharedRows)
+    arrange_shared(matrix);
+  else
+    arrange_half(matrix);
+}
+
+void StiffnessProduct::arrange_shared(const StiffnessMatrix& matrix) {
+  const WholeRows rows(matrix);
+  std::vector<Neighbour> row, last;
+  std::vector<std::int64_t> cost;
+  for (const auto& [begin, end] : stretches(nodes_, [&](std::int32_t i) {
+         rows.get(i - 1, last), rows.get(i, row);
+         return are_same_rows(matrix, last, row);
+       })) {
+    rows.get(begin, row);
+    runs_.push_back({begin, end - begin, static_cast<std::int32_t>(row.size()),
+                     static_cast<std::int32_t>(offsets_.size()), static_cast<std::int64_t>(blocks_.size())});
+    for (const Neighbour& n : row) {
+      offsets_.push_back(n.offset);
+      const Mat3 b = n.is_transposed ? Mat3(matrix.block[n.block].transpose()) : matrix.block[n.block];
+      for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c) blocks_.push_back(b(r, c));
+    }
+    cost.push_back(1 + static_cast<std::int64_t>(shared_cost(end - begin, row.size())));
+  }
+  cut_chunks(0, cost);
+}
+
+void StiffnessProduct::arrange_half(const StiffnessMatrix& matrix) {
+  std::vector<std::int64_t> cost;
+  std::int32_t reach = 0;
+  for (const auto& [begin, end] :
+       stretches(nodes_, [&](std::int32_t i) { return has_same_offsets(matrix, i - 1, i); })) {
+    const std::int64_t row = matrix.row_begin[begin];
+    const auto neighbours = static_cast<std::int32_t>(matrix.row_begin[begin + 1] - row);
+    const auto offset = static_cast<std::int32_t>(offsets_.size());
+    for (std::int32_t n = 0; n < neighbours; ++n) {
+      offsets_.push_back(matrix.column[row + n] - begin);
+      reach = std::max(reach, offsets_.back());
+    }
+    const bool is_interleaved = end - begin >= fewest_lanes;
+    const std::int32_t step = is_interleaved ? nodes_at_once : 1;
+    // One run for each eight nodes, so that a chunk may begin at any of them.
+    for (std::int32_t first = begin; first < end; first += step) {
+      const std::int32_t nodes = std::min(step, end - first);
+      runs_.push_back({first, is_interleaved ? std::max(nodes, fewest_lanes) : 1, neighbours, offset,
+                       static_cast<std::int64_t>(blocks_.size())});
+      cost.push_back(1 + static_cast<std::int64_t>(half_cost(nodes, static_cast<std::size_t>(neighbours))));
+      for (std::int32_t n = 0; n < neighbours; ++n)
+        for (int e = 0; e < 9; ++e)
+          for (std::int32_t k = 0; k < step; ++k)
+            blocks_.push_back(k < nodes ? matrix.block[matrix.row_begin[first + k] + n](e / 3, e % 3) : 0.0);
+    }
+  }
+  cut_chunks(reach, cost);
+  for (std::size_t c = 0; c < chunks_.size(); ++c) {
+    Chunk& chunk = chunks_[c];
+    std::int32_t highest = chunk.end;
+    for (std::int32_t r = chunk.run_begin; r < chunk.run_end; ++r) {
+      const StiffnessRun& run = runs_[r];
+      if (run.neighbours > 0)
+        highest = std::max(highest, run.first + run.nodes + offsets_[run.offset + run.neighbours - 1]);
+    }
+    chunk.last = std::min(highest, nodes_);
+    chunk.stride = static_cast<std::size_t>(highest - chunk.begin) + 2 * nodes_at_once;
+    chunk.force.assign(3 * chunk.stride, 0.0);
+  }
+  for (std::size_t c = 0; c < chunks_.size(); ++c) {
+    std::size_t first = c;
+    while (first > 0 && chunks_[first - 1].last > chunks_[c].begin) --first;
+    chunks_[c].first_part = static_cast<std::int32_t>(first);
+  }
+}
+
+void StiffnessProduct::cut_chunks(std::int32_t reach, const std::vector<std::int64_t>& cost) {
+  const std::int64_t all = std::accumulate(cost.begin(), cost.end(), std::int64_t{0});
+  const std::int32_t fewest = format_ == Format::HalfRows ? std::max(fewest_chunk_nodes, 2 * reach) : 1;
+  std::int64_t so_far = 0;
+  for (std::size_t r = 0; r < runs_.size(); ++r) {
+    const auto run = static_cast<std::int32_t>(r);
+    const bool is_full = !chunks_.empty() &&
+                         so_far * chunks_wanted >= all * static_cast<std::int64_t>(chunks_.size()) &&
+                         runs_[r].first - chunks_.back().begin >= fewest;
+    if (chunks_.empty() || is_full) {
+      Chunk chunk;
+      chunk.begin = runs_[r].first, chunk.run_begin = run;
+      chunks_.push_back(std::move(chunk));
+    }
+    so_far += cost[r];
+    chunks_.back().end = r + 1 < runs_.size() ? runs_[r + 1].first : nodes_;
+    chunks_.back().run_end = run + 1;
+  }
+}
+
+std::size_t StiffnessProduct::bytes() const {
+  return blocks_.size() * sizeof(double) + offsets_.size() * sizeof(std::int32_t) + runs_.size() * sizeof(StiffnessRun);
+}
+
+void StiffnessProduct::evaluate(const Vec3s& u, const Vec3s& reference, Vec3s& f, Team& team) {
+  LOCKSTEP_ASSERT(u.size() == node_count() && f.size() == node_count(), "{} and {} vectors for {} nodes", u.size(),
+                  f.size(), node_count());
+  const double* const from = reinterpret_cast<const double*>(u.data());
+  const double* const base = reinterpret_cast<const double*>((reference.empty() ? zero_ : reference).data());
+  double* const to = reinterpret_cast<double*>(f.data());
+  const Components all{u_.data(), u_.data() + stride_, u_.data() + 2 * stride_};
+  const auto share = [&](int thread, const auto& visit) {
+    const std::size_t count = chunks_.size(), threads = static_cast<std::size_t>(team.size());
+    for (std::size_t c = count * thread / threads; c < count * (thread + 1) / threads; ++c) visit(chunks_[c], c);
+  };
+  team.run([&](int thread) {
+    share(thread, [&](const Chunk& c, std::size_t) {
+      kernel_.split(from, c.begin, c.end, {all.x + c.begin, all.y + c.begin, all.z + c.begin});
+    });
+  });
+  if (format_ == Format::SharedRows) {
+    team.run([&](int thread) {
+      share(thread, [&](const Chunk& c, std::size_t) {
+        kernel_.shared_rows(runs_.data() + c.run_begin, c.run_end - c.run_begin, offsets_.data(), blocks_.data(), all,
+                            base, to);
+      });
+    });
+    return;
+  }
+  team.run([&](int thread) {
+    share(thread, [&](Chunk& c, std::size_t) {
+      std::fill(c.force.begin(), c.force.end(), 0.0);
+      kernel_.half_rows(runs_.data() + c.run_begin, c.run_end - c.run_begin, offsets_.data(), blocks_.data(), all,
+                        c.components(), c.begin);
+    });
+  });
+  team.run([&](int thread) {
+    share(thread, [&](const Chunk& c, std::size_t index) {
+      Components part[chunks_wanted + 1];
+      std::int32_t begin[chunks_wanted + 1], parts = 0;
+      // Where an earlier chunk ends reaching into this one, the number of parts changes.
+      std::int32_t at = c.begin;
+      while (at < c.end) {
+        std::int32_t stop = c.end;
+        parts = 0;
+        for (std::size_t p = static_cast<std::size_t>(c.first_part); p <= index; ++p) {
+          if (chunks_[p].last <= at && p < index) continue;
+          if (p < index) stop = std::min(stop, chunks_[p].last);
+          part[parts] = chunks_[p].components();
+          begin[parts++] = chunks_[p].begin;
+        }
+        kernel_.join(base, part, begin, parts, at, stop, to);
+        at = stop;
+      }
+    });
+  });
+}
+
+}  // namespace lockstep::continuum
