@@ -1,12 +1,60 @@
 #include "continuum_client/integrator.hpp"
 
-#include <cmath>
+#include <algorithm>
+#include <array>
 #include <utility>
 
-namespace lockstep::continuum {
+#include "common/checks.hpp"
 
-Integrator::Integrator(std::vector<double> mass, Vec3s is_free)
-    : mass_(std::move(mass)), is_free_(std::move(is_free)), mobility_(mass_.size(), Vec3::Zero()) {
+namespace lockstep::continuum {
+namespace {
+
+NodeKernel kernel_of([[maybe_unused]] InstructionSet set) {
+#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+  if (set == InstructionSet::Avx512) return node_kernel_avx512();
+  if (set == InstructionSet::Avx2) return node_kernel_avx2();
+#endif
+  return node_kernel_generic();
+}
+
+constexpr std::size_t chunk_nodes = 1024;  // what threads share out
+constexpr std::size_t at_once = 8;         // nodes, of the kernel
+
+double* numbers(Vec3s& vectors) { return vectors.empty() ? nullptr : reinterpret_cast<double*>(vectors.data()); }
+const double* numbers(std::span<const Vec3> vectors) {
+  return vectors.empty() ? nullptr : reinterpret_cast<const double*>(vectors.data());
+}
+
+// The last nodes, fewer than the kernel takes at once, copied in front of held ones without mass.
+void advance_last(NodeKernel kernel, const NodeArrays& all, const NodeStep& step, std::size_t first, std::size_t count,
+                  NodeSums& sums) {
+  std::array<std::array<double, 3 * at_once>, 9> copies{};
+  std::array<double, at_once> mass{};
+  std::size_t used = 0;
+  const auto copy = [&](const double* from) -> double* {
+    if (!from) return nullptr;
+    double* const to = copies[used++].data();
+    std::copy_n(from + 3 * first, 3 * count, to);
+    return to;
+  };
+  std::copy_n(all.mass + first, count, mass.begin());
+  const NodeArrays a{copy(all.displacement), copy(all.velocity), copy(all.internal), copy(all.reference),
+                     copy(all.mobility),     mass.data(),        copy(all.applied),  copy(all.reaction),
+                     copy(all.viscous),      copy(all.dashpot)};
+  kernel(a, step, 0, at_once, sums);
+  std::copy_n(a.displacement, 3 * count, all.displacement + 3 * first);
+  std::copy_n(a.velocity, 3 * count, all.velocity + 3 * first);
+}
+
+}  // namespace
+
+Integrator::Integrator(std::vector<double> mass, Vec3s is_free, Vec3s dashpot, InstructionSet instructions)
+    : mass_(std::move(mass)),
+      is_free_(std::move(is_free)),
+      mobility_(mass_.size(), Vec3::Zero()),
+      dashpot_(std::move(dashpot)),
+      kernel_(kernel_of(instructions)),
+      sums_((mass_.size() + chunk_nodes - 1) / chunk_nodes) {
   for (std::size_t i = 0; i < mass_.size(); ++i)
     if (mass_[i] > 0) mobility_[i] = is_free_[i] / mass_[i];
 }
@@ -17,57 +65,63 @@ void Integrator::clear_ledger() {
 }
 
 StepSums Integrator::advance(Motion& motion, const Vec3s& internal, const Vec3s& reference, const NodalLoads& loads,
-                             double damping, StepSizes steps, double velocity_limit) {
-  const double dt_velocity = steps.velocity_step(), limit = velocity_limit * velocity_limit;
-  const double into_share = steps.into / dt_velocity;
-  StepSums sums;
-  Work before, after;                         // the two halves of this step's work, without the half steps' length
-  double kinetic = 0, elastic = 0, jolt = 0;  // jolt: sum of m (v(n+1/2) - v(n-1/2))^2
-  std::size_t next_interface = 0;
-
-  for (std::size_t i = 0; i < mass_.size(); ++i) {
-    Vec3& u = motion.displacement[i];
-    const Vec3 v = motion.velocity[i];
-    const Vec3 weight = mass_[i] * loads.gravity;
-    Vec3 force = weight - internal[i];
-    const bool has_reaction = !loads.reaction.empty();
-    if (has_reaction) force += loads.reaction[i];
-    const bool is_interface = next_interface < loads.interface_node.size() &&
-                              loads.interface_node[next_interface] == static_cast<std::int32_t>(i);
-    if (is_interface) force += loads.interface_force[next_interface] + loads.baseline_force[next_interface];
-
-    Vec3 drag;  // F_d
-    for (int c = 0; c < 3; ++c) {
-      force[c] = mobility_[i][c] > 0 ? force[c] : 0.0;
-      const double sign = static_cast<double>(v[c] > 0) - static_cast<double>(v[c] < 0);
-      drag[c] = -damping * std::abs(force[c]) * sign;
-    }
-    const Vec3 v_new = v + dt_velocity * mobility_[i].cwiseProduct(force + drag);
-
-    sums.unbalanced += force.norm();
-    sums.internal += internal[i].norm();
-    elastic += 0.5 * u.dot(reference[i] + internal[i]);
-    const Vec3 change = v_new - v;
-    kinetic += 0.5 * mass_[i] * v.dot(v + into_share * change);
-    jolt += mass_[i] * change.squaredNorm();
-    before.gravity += weight.dot(v), after.gravity += weight.dot(v_new);
-    before.damped -= drag.dot(v), after.damped -= drag.dot(v_new);
-    if (has_reaction) {
-      before.boundary += loads.reaction[i].dot(v), after.boundary += loads.reaction[i].dot(v_new);
-    }
-    if (is_interface) {
-      const Vec3& contact = loads.interface_force[next_interface];
-      const Vec3& baseline = loads.baseline_force[next_interface];
-      before.interface += contact.dot(v), after.interface += contact.dot(v_new);
-      before.baseline += baseline.dot(v), after.baseline += baseline.dot(v_new);
-      ++next_interface;
-    }
-    // Written so that NaN counts as running away.
-    if (!(v_new.squaredNorm() <= limit) && sums.runaway_node < 0) sums.runaway_node = static_cast<std::int64_t>(i);
-
-    motion.velocity[i] = v_new;
-    u += v_new * steps.out_of;
+                             double damping, StepSizes steps, double velocity_limit, Team& team) {
+  const double dt_velocity = steps.velocity_step();
+  Work before, after;  // the two halves of this step's work, without the half steps' length
+  applied_.resize(loads.interface_node.empty() ? 0 : mass_.size(), Vec3::Zero());
+  for (std::size_t k = 0; k < loads.interface_node.size(); ++k) {
+    const std::int32_t i = loads.interface_node[k];
+    applied_[i] = loads.interface_force[k] + loads.baseline_force[k];
+    before.interface += loads.interface_force[k].dot(motion.velocity[i]);
+    before.baseline += loads.baseline_force[k].dot(motion.velocity[i]);
   }
+
+  const NodeArrays arrays{numbers(motion.displacement),
+                          numbers(motion.velocity),
+                          numbers(internal),
+                          numbers(reference),
+                          numbers(mobility_),
+                          mass_.data(),
+                          numbers(applied_),
+                          numbers(loads.reaction),
+                          numbers(loads.viscous),
+                          numbers(dashpot_)};
+  const NodeStep step{{loads.gravity.x(), loads.gravity.y(), loads.gravity.z()},
+                      damping,
+                      dt_velocity,
+                      steps.into,
+                      steps.out_of,
+                      velocity_limit * velocity_limit};
+  const std::size_t chunks = sums_.size(), threads = static_cast<std::size_t>(team.size());
+  NodeSums last;
+  team.run([&](int thread) {
+    for (std::size_t c = chunks * thread / threads; c < chunks * (thread + 1) / threads; ++c) {
+      const std::size_t begin = c * chunk_nodes, end = std::min(begin + chunk_nodes, mass_.size());
+      const std::size_t whole = begin + (end - begin) / at_once * at_once;
+      kernel_(arrays, step, static_cast<std::int64_t>(begin), static_cast<std::int64_t>(whole), sums_[c]);
+      if (whole < end) advance_last(kernel_, arrays, step, whole, end - whole, last);
+    }
+  });
+
+  StepSums result;
+  double kinetic = 0, elastic = 0, jolt = 0, runaways = 0;
+  const auto count_in = [&](const NodeSums& s) {
+    result.unbalanced += s.unbalanced, result.internal += s.internal;
+    kinetic += s.kinetic, elastic += s.elastic, jolt += s.jolt, runaways += s.runaways;
+    before.gravity += s.gravity_before, after.gravity += s.gravity_after;
+    before.boundary += s.reaction_before, after.boundary += s.reaction_after;
+    before.damped += s.damped_before, after.damped += s.damped_after;
+  };
+  for (const NodeSums& s : sums_) count_in(s);
+  count_in(last);
+  for (std::size_t k = 0; k < loads.interface_node.size(); ++k) {
+    const std::int32_t i = loads.interface_node[k];
+    after.interface += loads.interface_force[k].dot(motion.velocity[i]);
+    after.baseline += loads.baseline_force[k].dot(motion.velocity[i]);
+    applied_[i].setZero();
+  }
+  for (std::size_t i = 0; runaways > 0 && result.runaway_node < 0 && i < mass_.size(); ++i)
+    if (!(motion.velocity[i].squaredNorm() <= step.square_limit)) result.runaway_node = static_cast<std::int64_t>(i);
 
   Work& w = ledger_.work;
   const double half_into = 0.5 * steps.into, half_out_of = 0.5 * steps.out_of;
@@ -85,7 +139,7 @@ StepSums Integrator::advance(Motion& motion, const Vec3s& internal, const Vec3s&
   rest_.step_change = 0.25 * (steps.into - steps.out_of) / dt_velocity * jolt;
   ledger_.kinetic = kinetic;
   ledger_.elastic = elastic;
-  return sums;
+  return result;
 }
 
 }  // namespace lockstep::continuum

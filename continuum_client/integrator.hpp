@@ -23,7 +23,10 @@
 #include <span>
 #include <vector>
 
+#include "common/instructions.hpp"
+#include "common/parallel.hpp"
 #include "common/vectors.hpp"
+#include "continuum_client/node_kernel.hpp"
 
 namespace lockstep::continuum {
 
@@ -64,11 +67,12 @@ struct StepSizes {
 
 // Forces of step n besides the internal ones [N].
 struct NodalLoads {
-  Vec3 gravity = Vec3::Zero();                   // acceleration [m/s2]
-  std::span<const Vec3> reaction;                // constant, of released supports, per grid node; empty: none
-  std::span<const std::int32_t> interface_node;  // rising
-  std::span<const Vec3> interface_force;         // of contacts, per interface node
-  std::span<const Vec3> baseline_force;          // per interface node
+  Vec3 gravity = Vec3::Zero();                        // acceleration [m/s2]
+  std::span<const Vec3> reaction = {};                // constant, of released supports, per grid node; empty: none
+  std::span<const std::int32_t> interface_node = {};  // rising
+  std::span<const Vec3> interface_force = {};         // of contacts, per interface node
+  std::span<const Vec3> baseline_force = {};          // per interface node
+  std::span<const Vec3> viscous = {};                 // booked as damping, per grid node; empty: none
 };
 
 // Sums over nodes, in the order of nodes.
@@ -85,12 +89,19 @@ struct StepSums {
 // Advances velocity to n+1/2 and displacement to n+1, and `ledger` to n (then it stays there until the next call).
 // `internal` and `reference` are f_int(n) and f0. One walk over the nodes with little memory touched: it lies between
 // the grains' forces and the next message. `mass` 0 or is_free 0: held.
+//
+// `dashpot` is a viscosity c per node and component [N s/m], empty for none. Its force -c (v(n-1/2) + v(n+1/2)) / 2 is at
+// n, and what it takes in a step is c |v(n-1/2) + v(n+1/2)|^2 dt / 4 >= 0 whatever dt: the stable step stays as it is.
+//   v(n+1/2) = ((1 - k) v(n-1/2) + F dt / m) / (1 + k),  k = c dt / 2 m
+//
+// Sums are made in chunks of nodes that do not depend on the number of threads.
 class Integrator {
  public:
-  Integrator(std::vector<double> mass, Vec3s is_free);
+  Integrator(std::vector<double> mass, Vec3s is_free, Vec3s dashpot = {},
+             InstructionSet instructions = best_instructions());
 
   StepSums advance(Motion& motion, const Vec3s& internal, const Vec3s& reference, const NodalLoads& loads,
-                   double damping, StepSizes steps, double velocity_limit);
+                   double damping, StepSizes steps, double velocity_limit, Team& team = Team::alone());
 
   const std::vector<double>& mass() const { return mass_; }
   const Vec3s& is_free() const { return is_free_; }
@@ -102,6 +113,10 @@ class Integrator {
   std::vector<double> mass_;  // [kg]
   Vec3s is_free_;             // 1 or 0 by component
   Vec3s mobility_;            // is_free / m [1/kg]
+  Vec3s dashpot_;             // [N s/m]
+  Vec3s applied_;             // forces at the interface's nodes, zero elsewhere [N]
+  NodeKernel kernel_;
+  std::vector<NodeSums> sums_;  // per chunk
   Ledger ledger_;
   Work rest_;  // the second half of the last step's work, not yet booked
 };
