@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/parallel.hpp"
 #include "common/profile.hpp"
 #include "continuum_client/grid.hpp"
 #include "continuum_client/integrator.hpp"
@@ -81,6 +82,7 @@ class CoupledGround {
   StepSums sums;                  // of the last step
   protocol::Velocities outgoing;  // velocity: v(n-1/2) of the interface; its memory is reused
   protocol::Forces incoming;      // F(n)
+  Team* team = &Team::alone();
   Profile<Phase> profile;
 };
 

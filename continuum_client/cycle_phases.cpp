@@ -37,7 +37,7 @@ void CoupledGround::send_velocities(protocol::Session& peer) {
 
 void CoupledGround::compute_internal_forces() {
   const auto scope = profile.measure(Phase::InternalForces);
-  internal_force.evaluate(motion.displacement, internal);
+  internal_force.evaluate(motion.displacement, internal, *team);
 }
 
 void CoupledGround::receive_forces(protocol::Session& peer) {
@@ -52,7 +52,8 @@ void CoupledGround::fade_baseline() {
 void CoupledGround::advance() {
   const auto scope = profile.measure(Phase::Advance);
   const NodalLoads loads{gravity, reaction_load, interface.node, incoming.force, baseline.force};
-  sums = integrator.advance(motion, internal, internal_force.reference, loads, damping, step_sizes, velocity_limit);
+  sums =
+      integrator.advance(motion, internal, internal_force.reference, loads, damping, step_sizes, velocity_limit, *team);
   if (sums.runaway_node >= 0) {
     const Vec3& x = grid.node[sums.runaway_node];
     throw NumericalError(

@@ -95,6 +95,9 @@ int main(int argc, char** argv) {
   app.add_option("--log", log, "file for the full log");
   app.add_flag("--verbose", is_verbose, "more on the console");
   app.add_option("--record", options.record_path, "file for every frame sent and received");
+  app.add_option("--threads", options.threads, "of the cycle; the results do not depend on it")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
   app.add_flag("--progress", options.prints_progress,
                "\"@progress key=value ...\" lines on standard output, as tools/run reads them");
   app.add_flag("--keys", lists_keys, "list every key of a scene and stop");

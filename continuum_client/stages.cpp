@@ -37,12 +37,17 @@ class Stages {
  public:
   Stages(const SceneFile& scene, const std::filesystem::path& folder, std::unique_ptr<protocol::Channel> channel,
          const RunOptions& options)
-      : scene_(scene), settings_(read_settings(scene)), options_(options), files_(folder, settings_.writes_zones) {
+      : scene_(scene),
+        settings_(read_settings(scene)),
+        options_(options),
+        team_(options.threads),
+        files_(folder, settings_.writes_zones) {
     if (settings_.has_grains && !channel)
       throw InputError("the scene has grains, so the continuum needs a peer that has them");
     if (!settings_.has_grains && channel)
       throw InputError(fmt::format(
           "{}: the scene has no grains, so there is no peer to connect to; leave --connect out", scene.path.string()));
+    ground_.team = &team_;
     if (!channel) return;
     protocol::SessionSettings session;
     session.peer_timeout =
@@ -520,6 +525,7 @@ class Stages {
   const SceneFile& scene_;
   Settings settings_;
   RunOptions options_;
+  Team team_;
   ResultFiles files_;
   std::unique_ptr<protocol::Session> peer_;
   CoupledGround ground_;

@@ -18,6 +18,7 @@ namespace lockstep::continuum {
 struct RunOptions {
   std::string record_path;       // every frame is recorded there if not empty
   bool prints_progress = false;  // "@progress" lines
+  int threads = 1;               // the results do not depend on it
 };
 
 // Runs a session over `channel`; null for a scene without grains. `results_folder` may be empty: then no file is
