@@ -21,7 +21,8 @@ void clear_loads(Model& m) {
 
 void interface_contacts(Model& m) {
   const auto timing = m.profile.measure(Phase::InterfaceContacts);
-  m.facet_totals = m.facets.compute(m.particles, m.facet_material, m.last_time_step);  // paper eqs 1-4, 8-13
+  m.facet_totals = m.facets.compute(m.particles, m.facet_material, m.last_time_step, m.contacts.limits(), *m.team,
+                                    m.contacts.partition());  // paper eqs 1-4, 8-13
 }
 
 void renew_lists(Model& m) {

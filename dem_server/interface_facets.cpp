@@ -339,7 +339,7 @@ void InterfaceFacets::update_boxes() {
   for (const Sphere& sphere : spheres_) smallest_ = std::min(smallest_, sphere.radius);
 }
 
-void InterfaceFacets::list_facets(Neighborhood& near, const Vec3& center, double radius) {
+void InterfaceFacets::list_facets(Neighborhood& near, const Vec3& center, double radius) const {
   const double drift = travel_ - box_travel_;
   const double listed = (1 + skin) * radius + drift;
   near.facets.clear();
@@ -355,6 +355,25 @@ void InterfaceFacets::list_facets(Neighborhood& near, const Vec3& center, double
   }
   near.center = center;
   near.reach = nearest_unlisted - drift + travel_;
+}
+
+void InterfaceFacets::renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team,
+                                       const Partition& partition) {
+  candidates_.wall_moved(travel_ - candidate_travel_);
+  candidate_travel_ = travel_;
+  if (candidates_.is_fresh(limits, particles.pebble_count())) return;
+  const double drift = travel_ - box_travel_;
+  candidates_.renew(particles, limits, wall_allowance * particles.mean_radius(), team, partition,
+                    [&](std::size_t pebble, const Vec3& center, double reach, std::vector<std::int32_t>& touchable) {
+                      Neighborhood& near = neighborhoods_[pebble];
+                      const double slack = near.reach - reach - travel_;
+                      if (!(slack > 0 && (center - near.center).squaredNorm() < slack * slack))
+                        list_facets(near, center, reach);
+                      const std::size_t before = touchable.size();
+                      for (const std::int32_t facet : near.facets)
+                        if (boxes_[facet].distance(center) <= reach + drift) touchable.push_back(facet);
+                      return touchable.size() > before;
+                    });
 }
 
 // ---- where a pebble touches
@@ -381,7 +400,7 @@ bool InterfaceFacets::are_adjacent(std::int32_t facet_a, std::int32_t facet_b) c
   return false;
 }
 
-void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius) const {
+void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius, const std::vector<Foot>& feet) const {
   const Vec3 away = center - foot.at.point;
   if (foot.at.feature == FacetFeature::Face) {
     foot.normal = foot.at.facet_normal;
@@ -390,7 +409,7 @@ void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius) co
   }
   // All facets that share the edge or node are among the feet: none of them is farther from the centre than it.
   Vec3 side = Vec3::Zero();
-  for (const Foot& other : feet_) {
+  for (const Foot& other : feet) {
     if (!shares_feature(foot, other.facet)) continue;
     double angle = 1;
     if (foot.at.feature == FacetFeature::Vertex) {
@@ -414,46 +433,49 @@ void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius) co
 }
 
 // Local minima of the distance to the surface, nearest first.
-void InterfaceFacets::find_feet(const Neighborhood& near, const Vec3& center, double radius) {
-  feet_.clear();
-  minima_.clear();
+void InterfaceFacets::find_feet(const std::int32_t* facets, std::size_t count, const Vec3& center, double radius,
+                                Part& part) const {
+  std::vector<Foot>&feet = part.feet, &minima = part.minima;
+  feet.clear();
+  minima.clear();
   const double drift = travel_ - box_travel_;
-  for (const std::int32_t facet : near.facets) {
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int32_t facet = facets[k];
     if (boxes_[facet].distance(center) > radius + drift) continue;
     Foot foot;
     foot.at = closest_point(corners(facet), center);
     foot.facet = facet;
-    if (foot.at.distance < radius) feet_.push_back(foot);
+    if (foot.at.distance < radius) feet.push_back(foot);
   }
-  std::sort(feet_.begin(), feet_.end(), [](const Foot& a, const Foot& b) {
+  std::sort(feet.begin(), feet.end(), [](const Foot& a, const Foot& b) {
     return a.at.distance < b.at.distance || (a.at.distance == b.at.distance && a.facet < b.facet);
   });
-  for (std::size_t i = 0; i < feet_.size(); ++i) {
+  for (std::size_t i = 0; i < feet.size(); ++i) {
     bool is_minimum = true;
-    for (std::size_t j = 0; j < i && is_minimum; ++j) is_minimum = !shares_feature(feet_[i], feet_[j].facet);
+    for (std::size_t j = 0; j < i && is_minimum; ++j) is_minimum = !shares_feature(feet[i], feet[j].facet);
     if (!is_minimum) continue;
-    Foot foot = feet_[i];
-    set_side(foot, center, radius);
+    Foot foot = feet[i];
+    set_side(foot, center, radius, feet);
     if (foot.distance < 0) {
       // Behind the surface only the closest point tells the way back.
-      for (std::size_t j = 0; j < i && is_minimum; ++j) is_minimum = !are_adjacent(foot.facet, feet_[j].facet);
+      for (std::size_t j = 0; j < i && is_minimum; ++j) is_minimum = !are_adjacent(foot.facet, feet[j].facet);
       if (!is_minimum) continue;
     }
-    minima_.push_back(foot);
+    minima.push_back(foot);
   }
 }
 
 // Makes one contact of the minimum `seed` and of those that lie with it in a smooth concave part of the surface.
-void InterfaceFacets::merge(std::size_t seed, double radius, FacetContact& contact) {
+void InterfaceFacets::merge(std::vector<Foot>& minima, std::size_t seed, double radius, FacetContact& contact) const {
   static const double cos_merge_angle = std::cos(merge_angle);
   std::array<const Foot*, max_merged> foot{};
   std::array<double, max_merged> overlap{};
   std::size_t count = 0;
-  for (std::size_t i = seed; i < minima_.size() && count < max_merged; ++i) {
-    Foot& candidate = minima_[i];
+  for (std::size_t i = seed; i < minima.size() && count < max_merged; ++i) {
+    Foot& candidate = minima[i];
     if (candidate.is_taken) continue;
-    if (i != seed && (candidate.normal.dot(minima_[seed].normal) < cos_merge_angle ||
-                      !are_adjacent(candidate.facet, minima_[seed].facet)))
+    if (i != seed && (candidate.normal.dot(minima[seed].normal) < cos_merge_angle ||
+                      !are_adjacent(candidate.facet, minima[seed].facet)))
       continue;
     candidate.is_taken = true;
     overlap[count] = radius - candidate.distance;
@@ -547,52 +569,82 @@ void InterfaceFacets::load_nodes(const FacetContact& contact) {
   }
 }
 
-FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& material, double dt) {
+void FacetTotals::add(const FacetTotals& other) {
+  contacts += other.contacts, tunnelled += other.tunnelled;
+  particle_force += other.particle_force;
+  normal_force += other.normal_force;
+  neglected_moment += other.neglected_moment;
+  elastic_energy += other.elastic_energy;
+  slip_work += other.slip_work, dashpot_work += other.dashpot_work;
+  power += other.power;
+  max_overlap = std::max(max_overlap, other.max_overlap);
+}
+
+// The contact's force, on its body at once.
+FacetTotals InterfaceFacets::load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt,
+                                  double radius, FacetContact& contact) const {
+  Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
+  for (std::int32_t s = 0; s < contact.share_count; ++s) {
+    const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
+    for (std::size_t j = 0; j < 4; ++j) {
+      const std::int32_t node = real_node_[facets_[share.facet].nodes[j]];
+      facet_velocity += share.share * share.weights[j] * (velocity_[node] + offset_velocity_[node]);
+    }
+  }
+  const Vec3 approach = facet_velocity - particles.velocity_at(contact.body, contact.point);  // eq. 4
+  const ContactResult result = contact_force(law, normal, contact.overlap, approach, dt, contact.history);
+  contact.force = result.force_on_a;
+  particles.add_force(contact.body, contact.point, contact.force);  // eq. 12
+
   FacetTotals totals;
-  if (facets_.empty()) return totals;
+  totals.contacts = 1;
+  totals.particle_force = contact.force;
+  totals.normal_force = result.normal_force;
+  const Vec3 shear = contact.force - contact.force.dot(normal) * normal;
+  totals.neglected_moment = 0.5 * contact.overlap * shear.norm();
+  totals.elastic_energy = contact_energy(law, contact.overlap, contact.history);
+  totals.slip_work = result.slip_work;
+  totals.dashpot_work = result.dashpot_power * dt;
+  totals.power = contact.force.dot(facet_velocity);
+  totals.max_overlap = contact.overlap / radius;
+  return totals;
+}
 
-  if (travel_ - box_travel_ > box_drift * smallest_) update_boxes();
-  if (neighborhoods_.size() != particles.pebble_count()) neighborhoods_.assign(particles.pebble_count(), {});
-
-  std::fill(nodal_force_.begin(), nodal_force_.end(), Vec3::Zero());
-  std::fill(facet_force_.begin(), facet_force_.end(), Vec3::Zero());
-  std::fill(node_stiffness_.begin(), node_stiffness_.end(), 0.0);
-  std::fill(facet_stiffness_.begin(), facet_stiffness_.end(), 0.0);
-  tunnelled_ = 0;
-  std::swap(contacts_, previous_);
-  contacts_.clear();
-  is_inherited_.assign(previous_.size(), 0);
-
-  std::size_t first = 0;  // previous contacts of this pebble: [first, last)
-  for (std::size_t pebble = 0; pebble < neighborhoods_.size(); ++pebble) {
+void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& material, double dt,
+                                    const PebbleRange& range, Part& part) {
+  part.contacts.clear(), part.totals.clear();
+  part.tunnelled = 0;
+  const auto [begin, end] = candidates_.within(range);
+  // Previous contacts of a pebble: [first, last).
+  std::size_t first = static_cast<std::size_t>(
+      std::partition_point(previous_.begin(), previous_.end(),
+                           [&](const FacetContact& contact) { return contact.pebble < range.begin; }) -
+      previous_.begin());
+  for (std::size_t i = begin; i < end; ++i) {
+    const std::int32_t id = candidates_.pebble(i);
+    const auto pebble = static_cast<std::size_t>(id);
     const Vec3& center = particles.pebble_center(pebble);
     const double radius = particles.pebble_radius(pebble);
-    Neighborhood& near = neighborhoods_[pebble];
-    const double slack = near.reach - radius - travel_;
-    if (!(slack > 0 && (center - near.center).squaredNorm() < slack * slack)) list_facets(near, center, radius);
-    if (near.facets.empty()) continue;
-    find_feet(near, center, radius);
-    if (minima_.empty()) continue;
+    find_feet(candidates_.extra(i), candidates_.extra_count(i), center, radius, part);
+    if (part.minima.empty()) continue;
 
-    const auto id = static_cast<std::int32_t>(pebble);
     while (first < previous_.size() && previous_[first].pebble < id) ++first;
     std::size_t last = first;
     while (last < previous_.size() && previous_[last].pebble == id) ++last;
 
     const std::int32_t body = particles.pebble_body(pebble);
-    const double mass = particles.mass(body);
     ContactMaterial law;
     law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
     law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
     law.friction = material.friction;
-    law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * mass);
+    law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(body));
 
     bool is_tunnelled = false;
-    for (std::size_t seed = 0; seed < minima_.size(); ++seed) {
-      if (minima_[seed].is_taken) continue;
+    for (std::size_t seed = 0; seed < part.minima.size(); ++seed) {
+      if (part.minima[seed].is_taken) continue;
       FacetContact contact;
-      merge(seed, radius, contact);
-      is_tunnelled |= minima_[seed].distance < -tunnel_depth * radius;
+      merge(part.minima, seed, radius, contact);
+      is_tunnelled |= part.minima[seed].distance < -tunnel_depth * radius;
       contact.pebble = id;
       contact.body = body;
       contact.normal_stiffness = law.normal_stiffness;
@@ -600,34 +652,44 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
       const Vec3 normal = contact.history.normal;  // from grain to facet
       contact.history = inherited(contact, normal, first, last);
       contact.point = center + (radius - 0.5 * contact.overlap) * normal;  // eq. 1
-
-      Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
-      for (std::int32_t s = 0; s < contact.share_count; ++s) {
-        const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
-        for (std::size_t j = 0; j < 4; ++j) {
-          const std::int32_t node = real_node_[facets_[share.facet].nodes[j]];
-          facet_velocity += share.share * share.weights[j] * (velocity_[node] + offset_velocity_[node]);
-        }
-      }
-      const Vec3 approach = facet_velocity - particles.velocity_at(body, contact.point);  // eq. 4
-      const ContactResult result = contact_force(law, normal, contact.overlap, approach, dt, contact.history);
-      contact.force = result.force_on_a;
-      particles.add_force(body, contact.point, contact.force);  // eq. 12
-      load_nodes(contact);                                      // eq. 13
-
-      ++totals.contacts;
-      totals.particle_force += contact.force;
-      totals.normal_force += result.normal_force;
-      const Vec3 shear = contact.force - contact.force.dot(normal) * normal;
-      totals.neglected_moment += 0.5 * contact.overlap * shear.norm();
-      totals.elastic_energy += contact_energy(law, contact.overlap, contact.history);
-      totals.slip_work += result.slip_work;
-      totals.dashpot_work += result.dashpot_power * dt;
-      totals.power += contact.force.dot(facet_velocity);
-      totals.max_overlap = std::max(totals.max_overlap, contact.overlap / radius);
-      contacts_.push_back(contact);
+      part.totals.push_back(load(particles, law, normal, dt, radius, contact));
+      part.contacts.push_back(contact);
     }
-    if (is_tunnelled) ++tunnelled_;
+    if (is_tunnelled) ++part.tunnelled;
+  }
+}
+
+FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& material, double dt,
+                                     const TravelLimits& limits, Team& team, const Partition& partition) {
+  FacetTotals totals;
+  if (facets_.empty()) return totals;
+
+  if (travel_ - box_travel_ > box_drift * smallest_) update_boxes();
+  if (neighborhoods_.size() != particles.pebble_count()) neighborhoods_.assign(particles.pebble_count(), {});
+  renew_candidates(particles, limits, team, partition);
+
+  std::swap(contacts_, previous_);
+  contacts_.clear();
+  is_inherited_.assign(previous_.size(), 0);
+  parts_.resize(static_cast<std::size_t>(team.size()));
+  team.run([&](int t) {
+    find_contacts(particles, material, dt, pebbles_of_thread(particles, partition, team.size(), t),
+                  parts_[static_cast<std::size_t>(t)]);
+  });
+
+  std::fill(nodal_force_.begin(), nodal_force_.end(), Vec3::Zero());
+  std::fill(facet_force_.begin(), facet_force_.end(), Vec3::Zero());
+  std::fill(node_stiffness_.begin(), node_stiffness_.end(), 0.0);
+  std::fill(facet_stiffness_.begin(), facet_stiffness_.end(), 0.0);
+  tunnelled_ = 0;
+  for (Part& part : parts_) {
+    for (const FacetContact& contact : part.contacts) load_nodes(contact);  // eq. 13
+    for (const FacetTotals& of_one : part.totals) totals.add(of_one);
+    tunnelled_ += part.tunnelled;
+    if (contacts_.empty())
+      std::swap(contacts_, part.contacts);
+    else
+      contacts_.insert(contacts_.end(), part.contacts.begin(), part.contacts.end());
   }
   totals.tunnelled = tunnelled_;
   return totals;
@@ -652,6 +714,7 @@ void InterfaceFacets::hash(Hash& h) const {
 void InterfaceFacets::clear_history() {
   contacts_.clear();
   neighborhoods_.clear();
+  candidates_.forget();
 }
 
 void InterfaceFacets::restore(const FacetState& state) {
@@ -671,6 +734,7 @@ void InterfaceFacets::restore(const FacetState& state) {
   offset_velocity_ = state.offset_velocity;
   contacts_ = state.contacts;
   neighborhoods_.clear();
+  candidates_.forget();
   place_nodes();
   update_boxes();
 }

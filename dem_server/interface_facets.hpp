@@ -45,7 +45,11 @@
 // and to the moment that eq. (13) neglects comes that of lifting the force down to the edge.
 //
 // WHICH PEBBLES. Each pebble keeps the facets nearer than a skin, and how far it may move before any other could be
-// touched. The result does not depend on the lists.
+// touched; those that can touch one before the pair lists are renewed are candidates, and the step looks at no others.
+// The result does not depend on the lists.
+//
+// THREADS own bodies. Each finds the contacts of its pebbles and loads its bodies; the nodes, which many contacts share,
+// and the totals are summed afterwards, in the order of pebbles.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -54,10 +58,13 @@
 #include <vector>
 
 #include "common/hash.hpp"
+#include "common/parallel.hpp"
 #include "common/shape_functions.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/contact_law.hpp"
 #include "dem_server/particles.hpp"
+#include "dem_server/travel.hpp"
+#include "dem_server/wall_candidates.hpp"
 
 namespace lockstep::dem {
 
@@ -108,6 +115,8 @@ struct FacetTotals {
   double power = 0;                    // of the facets on the grains, sum of F_grain . v_facet [W]
   double max_overlap = 0;              // largest U / R of a pebble
   std::size_t tunnelled = 0;           // pebbles whose centre is deeper than R/2 behind the surface
+
+  void add(const FacetTotals& other);
 };
 
 // One contact: a pebble and one facet, or the few facets that meet at a shallow concave edge.
@@ -178,7 +187,8 @@ class InterfaceFacets {
 
   // Contacts at t_n: adds force and torque to the bodies and fills the outputs below. `dt` is the step over which shear
   // springs have grown; 0 leaves them as they are but for the turn with the normal. [s]
-  FacetTotals compute(Particles& particles, const FacetMaterial& material, double dt);
+  FacetTotals compute(Particles& particles, const FacetMaterial& material, double dt, const TravelLimits& limits = {},
+                      Team& team = Team::alone(), const Partition& partition = {});
 
   // Of the last compute(). Forces are ON THE CONTINUUM; a collar facet's count for the facet below it.
   const Vec3s& nodal_force() const { return nodal_force_; }                        // per node [N]
@@ -231,16 +241,28 @@ class InterfaceFacets {
     Vec3 normal = Vec3::Zero();  // unit, into the grains
     bool is_taken = false;
   };
+  // What one thread finds in a step; its memory is kept.
+  struct Part {
+    std::vector<Foot> feet, minima;  // of one pebble
+    std::vector<FacetContact> contacts;
+    std::vector<FacetTotals> totals;  // of each contact alone
+    std::size_t tunnelled = 0;
+  };
 
   void place_nodes();
   void update_boxes();
-  void list_facets(Neighborhood& near, const Vec3& center, double radius);
-  void find_feet(const Neighborhood& near, const Vec3& center, double radius);
+  void list_facets(Neighborhood& near, const Vec3& center, double radius) const;
+  void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
+  void find_feet(const std::int32_t* facets, std::size_t count, const Vec3& center, double radius, Part& part) const;
   bool shares_feature(const Foot& foot, std::int32_t facet) const;
   bool is_open(const Foot& foot) const;
   bool are_adjacent(std::int32_t facet_a, std::int32_t facet_b) const;
-  void set_side(Foot& foot, const Vec3& center, double radius) const;
-  void merge(std::size_t seed, double radius, FacetContact& contact);
+  void set_side(Foot& foot, const Vec3& center, double radius, const std::vector<Foot>& feet) const;
+  void merge(std::vector<Foot>& minima, std::size_t seed, double radius, FacetContact& contact) const;
+  void find_contacts(Particles& particles, const FacetMaterial& material, double dt, const PebbleRange& range,
+                     Part& part);
+  FacetTotals load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt, double radius,
+                   FacetContact& contact) const;
   ContactHistory inherited(const FacetContact& contact, const Vec3& normal, std::size_t first, std::size_t last);
   void load_nodes(const FacetContact& contact);
 
@@ -263,12 +285,13 @@ class InterfaceFacets {
   std::vector<Sphere> spheres_;  // around the facets
   double smallest_ = 0;          // radius of the smallest of them [m]
   std::vector<Neighborhood> neighborhoods_;
+  WallCandidates candidates_;
+  double candidate_travel_ = 0;  // travel_ that the candidates know of [m]
 
   std::vector<FacetContact> contacts_;
   std::vector<FacetContact> previous_;
   std::vector<char> is_inherited_;  // per previous contact: its spring has found a heir
-  std::vector<Foot> feet_;
-  std::vector<Foot> minima_;
+  std::vector<Part> parts_;         // one a thread
 
   Vec3s nodal_force_;                    // [N]
   Vec3s facet_force_;                    // [N]

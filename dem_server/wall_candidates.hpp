@@ -48,8 +48,8 @@ class WallCandidates {
   void wall_moved(double way) { way_ += way; }
   void forget() { is_known_ = false; }
 
-  // Lists anew. could_touch(center, reach, extra) says whether a sphere of radius `reach` around `center` meets the wall
-  // and may add what else it found to `extra`. `allowance` [m].
+  // Lists anew. could_touch(pebble, center, reach, extra) says whether a sphere of radius `reach` around `center` meets
+  // the wall and may add what else it found to `extra`. `allowance` [m].
   template <class CouldTouch>
   void renew(const Particles& particles, const TravelLimits& limits, double allowance, Team& team,
              const Partition& partition, CouldTouch&& could_touch) {
@@ -62,7 +62,7 @@ class WallCandidates {
         const auto i = static_cast<std::size_t>(p);
         const SphereRecord& at = limits.marks ? limits.marks[i] : particles.pebbles()[i];
         const double reach = particles.pebble_radius(i) + (limits.marks ? limits.limit(i) + allowance : 0);
-        if (!could_touch(Vec3(at.x, at.y, at.z), reach, part.extra)) continue;
+        if (!could_touch(i, Vec3(at.x, at.y, at.z), reach, part.extra)) continue;
         part.pebbles.push_back(p);
         part.extra_end.push_back(static_cast<std::int32_t>(part.extra.size()));
       }
@@ -91,7 +91,7 @@ class WallCandidates {
     };
     return {place(range.begin), place(range.end)};
   }
-  // What could_touch added for candidate i: a mesh's triangles.
+  // What could_touch added for candidate i: a mesh's triangles, an interface's facets.
   const std::int32_t* extra(std::size_t i) const { return extra_.data() + extra_begin_[i]; }
   std::size_t extra_count(std::size_t i) const {
     return static_cast<std::size_t>(extra_begin_[i + 1] - extra_begin_[i]);

@@ -314,18 +314,18 @@ void Walls::renew_candidates(const Particles& particles, const TravelLimits& lim
     std::visit(Overloaded{[&](const MeshShape& shape) {
                             wall.candidates.renew(
                                 particles, limits, allowed, team, partition,
-                                [&](const Vec3& x, double reach, std::vector<std::int32_t>& triangles) {
+                                [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>& triangles) {
                                   const std::size_t before = triangles.size();
                                   shape.mesh->list_near(to_local * (x - state.center) - shape.shift, reach, triangles);
                                   return triangles.size() > before;
                                 });
                           },
                           [&](const auto& shape) {
-                            wall.candidates.renew(particles, limits, allowed, team, partition,
-                                                  [&](const Vec3& x, double reach, std::vector<std::int32_t>&) {
-                                                    return shape.closest(to_local * (x - state.center)).distance <
-                                                           reach;
-                                                  });
+                            wall.candidates.renew(
+                                particles, limits, allowed, team, partition,
+                                [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>&) {
+                                  return shape.closest(to_local * (x - state.center)).distance < reach;
+                                });
                           }},
                wall.shape);
     if (spin_of(wall).isZero(0) || wall.turns_in_itself) continue;
@@ -631,9 +631,10 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
   if (!candidates_.is_fresh(limits, particles.pebble_count())) {
     largest_radius_ = particles.largest_radius();
     const double allowance = velocity_ != 0 ? wall_allowance * particles.mean_radius() : 0.0;
-    candidates_.renew(
-        particles, limits, allowance, team, partition,
-        [&](const Vec3& x, double reach, std::vector<std::int32_t>&) { return closest(x).distance < reach; });
+    candidates_.renew(particles, limits, allowance, team, partition,
+                      [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>&) {
+                        return closest(x).distance < reach;
+                      });
   }
   std::swap(contacts_, previous_);
   contacts_.clear();
