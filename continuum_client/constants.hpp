@@ -43,6 +43,9 @@ inline constexpr double core_half_side = 0.5;
 // Zones along a side of the core per ring of zones around it (and at least one ring): see core_half_side.
 inline constexpr int core_zones_per_ring = 4;
 
+// kappa of one-point zones (zone_kinematics.hpp).
+inline constexpr double hourglass_share = 0.1;
+
 // Zones whose corners agree to this share of their diagonal are translates of each other: round-off of their coordinates is
 // some thousand times smaller in a model a thousand zones wide.
 inline constexpr double congruence_tolerance = 1e-12;

@@ -57,7 +57,7 @@ Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface
     const ZoneGeometry geometry = grid.geometry(representative[z]);
     // The assembled operator's own numbers, so that putting f_A in place of the zones leaves round-off alone.
     const ZoneMatrix stiffness = zone_stiffness(geometry, grid.moduli(z));
-    const std::array<double, 8> volume = nodal_volumes(geometry);
+    const std::array<double, 8> volume = geometry.nodal_volume;
     Eigen::Matrix<double, 24, 1> u;
     for (int a = 0; a < 8; ++a) u.segment<3>(3 * a) = displacement[grid.zone[z][a]];
     const Eigen::Matrix<double, 24, 1> f = stiffness * u;

@@ -72,7 +72,7 @@ std::vector<double> lumped_masses(const Grid& grid, const std::vector<char>& is_
   std::vector<double> mass(grid.node_count(), 0.0);
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!is_included.empty() && !is_included[z]) continue;
-    const std::array<double, 8> volume = nodal_volumes(grid.geometry(z));
+    const std::array<double, 8> volume = grid.geometry(z).nodal_volume;
     for (int a = 0; a < 8; ++a) mass[grid.zone[z][a]] += grid.material_of(z).density * volume[a];
   }
   return mass;

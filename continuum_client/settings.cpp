@@ -61,6 +61,18 @@ Supports to_supports(scene::Continuum::Supports s) {
   throw InternalError("unknown kind of supports");
 }
 
+ZoneKind to_zone_kind(scene::Continuum::ZoneKind kind) {
+  switch (kind) {
+    case scene::Continuum::MIXED_DISCRETIZATION:
+      return ZoneKind::MixedDiscretization;
+    case scene::Continuum::B_BAR:
+      return ZoneKind::BBar;
+    case scene::Continuum::ONE_POINT:
+      return ZoneKind::OnePoint;
+  }
+  throw InternalError("unknown kind of zones");
+}
+
 }  // namespace
 
 double Settings::largest_damping() const {
@@ -89,6 +101,7 @@ Settings read_settings(const SceneFile& file) {
       throw InputError(fmt::format("{}: the continuum has no mesh; add cylinder_in_brick {{ }} or block {{ }}",
                                    file.where("continuum")));
   }
+  r.zone_kind = to_zone_kind(c.zone_kind());
   r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density()}};
   r.gravity = s.gravity();
   r.initial_supports = to_supports(c.initial_supports());

@@ -19,6 +19,8 @@ namespace lockstep::continuum {
 inline const double test_density = 1630;  // [kg/m3]
 inline const ElasticModuli test_moduli = elastic_moduli(44.3e6, 0.3);
 
+inline constexpr ZoneKind zone_kinds[] = {ZoneKind::MixedDiscretization, ZoneKind::BBar, ZoneKind::OnePoint};
+
 inline const Material test_material = {test_moduli, test_density};
 
 inline Grid of_one_material(Grid grid, const Material& material) {
@@ -26,12 +28,15 @@ inline Grid of_one_material(Grid grid, const Material& material) {
   return grid;
 }
 
-inline Grid brick(double x, double y, double z, int nx, int ny, int nz, const Material& material = test_material) {
+inline Grid brick(double x, double y, double z, int nx, int ny, int nz, const Material& material = test_material,
+                  ZoneKind kind = ZoneKind::MixedDiscretization) {
   BlockMesh m;
   m.width_x = x, m.width_y = y, m.height = z, m.top_z = 0;
   m.zones_x = nx, m.zones_y = ny, m.zones_z = nz;
   m.where = "test";
-  return of_one_material(build_block(m), material);
+  Grid grid = of_one_material(build_block(m), material);
+  grid.zone_kind = kind;
+  return grid;
 }
 
 // Moves each node by up to `share` of `size` in each direction: faces warp too.
