@@ -50,6 +50,9 @@ inline constexpr double hourglass_share = 0.1;
 // some thousand times smaller in a model a thousand zones wide.
 inline constexpr double congruence_tolerance = 1e-12;
 
+// A layer's top that agrees with a level to this share of the ground's depth is that level.
+inline constexpr double layer_tolerance = 1e-6;
+
 // Positions that agree to this share of the model's size lie in one support plane.
 inline constexpr double plane_tolerance = 1e-9;
 

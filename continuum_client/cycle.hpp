@@ -7,6 +7,7 @@
 
 #include "common/parallel.hpp"
 #include "common/profile.hpp"
+#include "continuum_client/boundary_conditions.hpp"
 #include "continuum_client/grid.hpp"
 #include "continuum_client/integrator.hpp"
 #include "continuum_client/interface_surface.hpp"
@@ -32,6 +33,7 @@ struct StepGuard {
   std::vector<double> node_stiffness;  // sum(k w) per interface node [N/m]
   double grains_limit = 0;             // with their damping; 0: they have none [s]
   double damping = 0;                  // the largest that the coupled stages use [-]
+  double stiffness_damping = 0;        // Rayleigh's b [s]
   double fraction = 0;                 // fidelity.step_fraction [-]
 
   double zones_limit = 0;      // of the zones alone [s]
@@ -50,6 +52,8 @@ class CoupledGround {
   void send_velocities(protocol::Session& peer);
   // f_int(n) = f0 + K u(n).
   void compute_internal_forces();
+  // Tractions on the surface at t_n.
+  void load_surface();
   // Paper step 6: F(n) of the contacts, and the grains' limits.
   void receive_forces(protocol::Session& peer);
   // What is left of the deleted zones.
@@ -67,6 +71,14 @@ class CoupledGround {
   Vec3s internal;               // f_int(n) [N]
   Vec3 gravity = Vec3::Zero();  // acceleration [m/s2]
   Vec3s reaction_load;          // of released supports, per node; empty: none was released [N]
+  // Full forces of the scene's tractions, per node, and what is applied of them beside the reactions [N].
+  std::vector<SurfaceLoad> loads;
+  std::vector<Vec3s> load_force;
+  Vec3s boundary_load;
+  std::vector<double> load_shares;  // that boundary_load holds [-]
+  // Rayleigh's b [s], f_int of the last step and the force -b K v(n-1/2) = -b (f_int(n) - f_int(n-1)) / dt [N].
+  double stiffness_damping = 0;
+  Vec3s last_internal, viscous;
   InterfaceSurface interface;
   Baseline baseline;
   StepGuard guard;

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 #include "common/checks.hpp"
 #include "continuum_client/constants.hpp"
@@ -37,7 +38,25 @@ void CoupledGround::send_velocities(protocol::Session& peer) {
 
 void CoupledGround::compute_internal_forces() {
   const auto scope = profile.measure(Phase::InternalForces);
+  if (stiffness_damping > 0) std::swap(internal, last_internal);
   internal_force.evaluate(motion.displacement, internal, *team);
+  if (stiffness_damping == 0) return;
+  // u(n) = u(n-1) + v(n-1/2) dt: the difference of two products is the product that damping needs.
+  const double share = -stiffness_damping / step_sizes.into;
+  viscous.resize(internal.size());
+  for (std::size_t i = 0; i < internal.size(); ++i) viscous[i] = share * (internal[i] - last_internal[i]);
+}
+
+void CoupledGround::load_surface() {
+  if (loads.empty()) return;
+  std::vector<double> shares;
+  for (const SurfaceLoad& load : loads) shares.push_back(load_share(load, time));
+  if (shares == load_shares) return;
+  load_shares = shares;
+  boundary_load.assign(grid.node_count(), Vec3::Zero());
+  if (!reaction_load.empty()) boundary_load = reaction_load;
+  for (std::size_t l = 0; l < loads.size(); ++l)
+    for (std::size_t i = 0; i < boundary_load.size(); ++i) boundary_load[i] += shares[l] * load_force[l][i];
 }
 
 void CoupledGround::receive_forces(protocol::Session& peer) {
@@ -51,9 +70,10 @@ void CoupledGround::fade_baseline() {
 
 void CoupledGround::advance() {
   const auto scope = profile.measure(Phase::Advance);
-  const NodalLoads loads{gravity, reaction_load, interface.node, incoming.force, baseline.force};
-  sums =
-      integrator.advance(motion, internal, internal_force.reference, loads, damping, step_sizes, velocity_limit, *team);
+  const NodalLoads forces{
+      gravity, loads.empty() ? reaction_load : boundary_load, interface.node, incoming.force, baseline.force, viscous};
+  sums = integrator.advance(motion, internal, internal_force.reference, forces, damping, step_sizes, velocity_limit,
+                            *team);
   if (sums.runaway_node >= 0) {
     const Vec3& x = grid.node[sums.runaway_node];
     throw NumericalError(
@@ -72,7 +92,8 @@ void CoupledGround::guard_step() {
     guard.node_stiffness = incoming.node_stiffness;
     const double contacts =
         contact_frequency_squared(interface.node, guard.node_stiffness, integrator.mass(), integrator.is_free());
-    guard.interface_limit = stable_step(guard.zone_frequency_squared + contacts, guard.damping);
+    guard.interface_limit =
+        stable_step(guard.zone_frequency_squared + contacts, guard.damping, guard.stiffness_damping);
   }
   guard.grains_limit = incoming.stable_step;
   time += step_sizes.out_of;

@@ -92,11 +92,20 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
 EquilibriumReport reach_equilibrium(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
                                     const Vec3s& is_free, const Vec3& gravity, double damping, double tolerance,
                                     std::uint32_t max_cycles, double step_fraction, Vec3s& displacement,
-                                    const ProgressCallback& progress) {
+                                    const ProgressCallback& progress, const Vec3s& prescribed) {
   EquilibriumReport report;
   Vec3s weight(mass.size());
-  for (std::size_t i = 0; i < mass.size(); ++i) weight[i] = mass[i] * gravity;
-  report.solve = solve_static(stiffness, is_free, weight, displacement, progress);
+  double all = 0, left = 0;
+  for (std::size_t i = 0; i < mass.size(); ++i) {
+    weight[i] = mass[i] * gravity;
+    all += weight[i].squaredNorm();
+    if (!prescribed.empty()) weight[i] -= prescribed[i];
+    left += weight[i].cwiseProduct(is_free[i]).squaredNorm();
+  }
+  // What prescribed stresses leave of round-off is no load to solve for.
+  displacement.assign(mass.size(), Vec3::Zero());
+  if (left > solver_tolerance * solver_tolerance * all)
+    report.solve = solve_static(stiffness, is_free, weight, displacement, progress);
   report.time_step = step_fraction * stable_step(frequency_squared_bound(stiffness, mass, is_free), damping);
   if (!std::isfinite(report.time_step)) return report;  // nothing can move
 
@@ -110,7 +119,7 @@ EquilibriumReport reach_equilibrium(const StiffnessMatrix& stiffness, const std:
   StiffnessProduct product(stiffness);
   const double no_limit = std::numeric_limits<double>::max();
   do {
-    product.evaluate(motion.displacement, {}, internal);
+    product.evaluate(motion.displacement, prescribed, internal);
     const StepSums sums =
         integrator.advance(motion, internal, nothing, loads, damping, {report.time_step, report.time_step}, no_limit);
     report.unbalanced_ratio = sums.unbalanced_ratio();

@@ -36,12 +36,13 @@ struct EquilibriumReport {
   double time_step = 0;         // [s]
 };
 
-// Fills `displacement` with the equilibrium under the acceleration `gravity` [m/s2]. Cycles with local damping
+// Fills `displacement` with the equilibrium under the acceleration `gravity` [m/s2], beside the internal forces
+// `prescribed` of stresses that are there from the start (empty: none). Cycles with local damping
 // `damping` until the unbalanced ratio is below `tolerance`, at least constants' proof_cycles; NumericalError after
 // max_cycles.
 EquilibriumReport reach_equilibrium(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
                                     const Vec3s& is_free, const Vec3& gravity, double damping, double tolerance,
                                     std::uint32_t max_cycles, double step_fraction, Vec3s& displacement,
-                                    const ProgressCallback& progress);
+                                    const ProgressCallback& progress, const Vec3s& prescribed = {});
 
 }  // namespace lockstep::continuum

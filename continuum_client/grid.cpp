@@ -28,6 +28,16 @@ std::vector<char> zones_outside_discrete_domain(const Grid& grid) {
   return is_left;
 }
 
+double replaced_density(const Grid& grid) {
+  double mass = 0, volume = 0;
+  for (std::size_t z = 0; z < grid.zone_count(); ++z) {
+    if (!grid.in_discrete_domain[z]) continue;
+    const double of_zone = grid.geometry(z).zone_volume();
+    mass += of_zone * grid.material_of(z).density, volume += of_zone;
+  }
+  return volume > 0 && grid.materials.size() > 1 ? mass / volume : grid.materials.front().density;
+}
+
 double fastest_wave(const Grid& grid) {
   double fastest = 0;
   for (const Material& m : grid.materials) fastest = std::max(fastest, p_wave_speed(m.moduli, m.density));

@@ -44,6 +44,8 @@ ZoneVectors gather(const Vec3s& field, const std::array<std::int32_t, 8>& nodes)
 // Zones that are left once the discrete domain is taken out, in order; node numbers stay.
 std::vector<char> zones_outside_discrete_domain(const Grid& grid);
 
+// Mean density of the zones of the discrete domain, by volume; without any the first material's [kg/m3].
+double replaced_density(const Grid& grid);
 // The largest P-wave speed of its materials [m/s].
 double fastest_wave(const Grid& grid);
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "common/checks.hpp"
 #include "continuum_client/constants.hpp"
@@ -133,6 +134,30 @@ void add_horizontal_facet(const std::array<std::int32_t, 4>& quad, int level, in
   grid.ring.push_back(-1);
 }
 
+// A zone is of the lowest layer whose top is above its centre.
+void take_layers(const std::vector<Layer>& layers, Grid& grid) {
+  if (layers.empty()) return;
+  std::set<double> levels;
+  for (const Vec3& x : grid.node) levels.insert(x.z());
+  const double tolerance = layer_tolerance * grid.depth();
+  for (const Layer& layer : layers) {
+    const auto above = levels.lower_bound(layer.top);
+    double nearest = above == levels.end() ? *levels.rbegin() : *above;
+    if (above != levels.begin() && layer.top - *std::prev(above) < std::abs(nearest - layer.top))
+      nearest = *std::prev(above);
+    if (std::abs(nearest - layer.top) > tolerance && layer.top < grid.high.z())
+      throw InputError(
+          fmt::format("{}: its top at {} m lies inside zones; the nearest level of the mesh is at {:.6g} m",
+                      layer.where, layer.top, nearest));
+    if (layer.top <= grid.low.z() + tolerance)
+      throw InputError(fmt::format("{}: its top at {} m is not above the bottom of the ground at {} m", layer.where,
+                                   layer.top, grid.low.z()));
+  }
+  for (std::size_t z = 0; z < grid.zone_count(); ++z)
+    for (const Layer& layer : layers)
+      if (grid.zone_center(z).z() < layer.top) grid.material[z] = layer.material;
+}
+
 }  // namespace
 
 Grid build_block(const BlockMesh& m) {
@@ -195,6 +220,7 @@ Grid build_grid(const Settings& settings) {
   Grid grid = block ? build_block(*block) : build_cylinder_in_brick(std::get<CylinderMesh>(settings.mesh));
   grid.zone_kind = settings.zone_kind;
   grid.materials = settings.materials;
+  take_layers(settings.layers, grid);
   return grid;
 }
 

@@ -49,8 +49,9 @@ void gather_interface(const InterfaceSurface& surface, const Vec3s& field, Vec3s
 }
 
 Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface, double gravity,
-                               const Vec3s& displacement) {
-  Vec3s force(grid.node_count(), Vec3::Zero());
+                               const InitialState& state) {
+  Vec3s force = prescribed_force(grid, state, grid.in_discrete_domain);
+  for (Vec3& f : force) f = -f;
   const std::vector<std::int32_t> representative = representative_zones(grid);
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!grid.in_discrete_domain[z]) continue;
@@ -59,7 +60,7 @@ Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface
     const ZoneMatrix stiffness = zone_stiffness(geometry, grid.moduli(z));
     const std::array<double, 8> volume = geometry.nodal_volume;
     Eigen::Matrix<double, 24, 1> u;
-    for (int a = 0; a < 8; ++a) u.segment<3>(3 * a) = displacement[grid.zone[z][a]];
+    for (int a = 0; a < 8; ++a) u.segment<3>(3 * a) = state.displacement[grid.zone[z][a]];
     const Eigen::Matrix<double, 24, 1> f = stiffness * u;
     for (int a = 0; a < 8; ++a)
       force[grid.zone[z][a]] += Vec3(0, 0, -grid.material_of(z).density * volume[a] * gravity) - f.segment<3>(3 * a);
@@ -69,10 +70,7 @@ Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface
   return at_interface;
 }
 
-std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surface, const Vec3s& displacement) {
-  // Faces of a zone by its own node numbers.
-  static constexpr int faces[6][4] = {{0, 1, 2, 3}, {4, 5, 6, 7}, {0, 1, 5, 4},
-                                      {1, 2, 6, 5}, {2, 3, 7, 6}, {3, 0, 4, 7}};
+std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surface, const InitialState& state) {
   std::map<std::array<std::int32_t, 4>, std::size_t> facet_of;  // by sorted nodes
   for (std::size_t f = 0; f < grid.facet.size(); ++f) {
     std::array<std::int32_t, 4> key = grid.facet[f];
@@ -82,13 +80,13 @@ std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surfac
   std::vector<Voigt> sum(surface.facet_count(), Voigt::Zero());
   std::vector<int> owners(surface.facet_count(), 0);
   for (std::size_t z = 0; z < grid.zone_count(); ++z)
-    for (const auto& face : faces) {
+    for (const auto& face : zone_faces) {
       std::array<std::int32_t, 4> key;
       for (int c = 0; c < 4; ++c) key[c] = grid.zone[z][face[c]];
       std::sort(key.begin(), key.end());
       const auto found = facet_of.find(key);
       if (found == facet_of.end()) continue;
-      sum[found->second] += to_voigt(zone_stress(grid.geometry(z), grid.moduli(z), gather(displacement, grid.zone[z])));
+      sum[found->second] += to_voigt(state.zone_stress(grid, z));
       ++owners[found->second];
     }
   for (std::size_t f = 0; f < sum.size(); ++f) sum[f] /= std::max(1, owners[f]);
@@ -130,13 +128,13 @@ Vec3s facet_traction(const InterfaceSurface& surface, const std::vector<Voigt>& 
   return traction;
 }
 
-std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const Vec3s& displacement) {
+std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const InitialState& state) {
   std::map<std::int32_t, std::pair<LevelStress, double>> sums;  // by level, with the volume
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!grid.in_discrete_domain[z]) continue;
     const ZoneGeometry geometry = grid.geometry(z);
     const double volume = geometry.zone_volume();
-    const Mat3 s = zone_stress(geometry, grid.moduli(z), gather(displacement, grid.zone[z]));
+    const Mat3 s = state.zone_stress(grid, z);
     auto& [level, sum] = sums[grid.level[z]];
     level.z += volume * grid.zone_center(z).z();
     level.vertical += volume * s(2, 2);
@@ -150,11 +148,10 @@ std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const Vec3s& 
   return profile;
 }
 
-std::vector<Voigt> zone_stresses(const Grid& grid, const Vec3s& displacement) {
+std::vector<Voigt> zone_stresses(const Grid& grid, const InitialState& state) {
   std::vector<Voigt> stress;
   stress.reserve(grid.zone_count());
-  for (std::size_t z = 0; z < grid.zone_count(); ++z)
-    stress.push_back(to_voigt(zone_stress(grid.geometry(z), grid.moduli(z), gather(displacement, grid.zone[z]))));
+  for (std::size_t z = 0; z < grid.zone_count(); ++z) stress.push_back(to_voigt(state.zone_stress(grid, z)));
   return stress;
 }
 

@@ -10,6 +10,7 @@
 #include "common/shape_functions.hpp"
 #include "common/vectors.hpp"
 #include "continuum_client/grid.hpp"
+#include "continuum_client/initial_stress.hpp"
 
 namespace lockstep::continuum {
 
@@ -48,10 +49,10 @@ void gather_interface(const InterfaceSurface& surface, const Vec3s& field, Vec3s
 // included:
 // -(K_e u)_i + m_e g summed over those zones. Zero everywhere for a mesh that deletes none [N].
 Vec3s discrete_domain_reaction(const Grid& grid, const InterfaceSurface& surface, double gravity,
-                               const Vec3s& displacement);
+                               const InitialState& state);
 
 // Mean stress per facet of the zones on either side of it that own it as a face [Pa].
-std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surface, const Vec3s& displacement);
+std::vector<Voigt> facet_stress(const Grid& grid, const InterfaceSurface& surface, const InitialState& state);
 
 // Traction per facet on the continuum [Pa] such that the facets' sum is the nodes': first sigma n, lumped to nodes by
 // bilinear weights; what a node's f_A has beyond that is shared out to its facets by area. Lumping f_A alone would
@@ -63,9 +64,9 @@ Vec3s facet_traction(const InterfaceSurface& surface, const std::vector<Voigt>& 
 std::array<double, 4> nodal_areas(const FacetCorners& corners);
 
 // By rising z; empty if the mesh deletes no zones.
-std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const Vec3s& displacement);
+std::vector<LevelStress> discrete_domain_profile(const Grid& grid, const InitialState& state);
 
 // Mean stress per zone [Pa].
-std::vector<Voigt> zone_stresses(const Grid& grid, const Vec3s& displacement);
+std::vector<Voigt> zone_stresses(const Grid& grid, const InitialState& state);
 
 }  // namespace lockstep::continuum

@@ -31,7 +31,7 @@ void ResultFiles::add_history(const CoupledGround& g) {
                  l.residual(), force, baseline, largest});
 }
 
-void ResultFiles::add_snapshot(const CoupledGround& g, const Vec3s& initial, const std::vector<char>& is_left) {
+void ResultFiles::add_snapshot(const CoupledGround& g, const InitialState& initial, const std::vector<char>& is_left) {
   if (!is_active() || !writes_zones_) return;
   // Only the nodes of the zones that are left are written.
   std::vector<std::int32_t> number(g.grid.node_count(), -1);
@@ -58,7 +58,7 @@ void ResultFiles::add_snapshot(const CoupledGround& g, const Vec3s& initial, con
     zones.push_back(nodes);
     const ZoneGeometry geometry = g.grid.geometry(z);
     const Mat3 added = zone_stress(geometry, g.grid.moduli(z), gather(g.motion.displacement, g.grid.zone[z]));
-    const Voigt total = to_voigt(zone_stress(geometry, g.grid.moduli(z), gather(initial, g.grid.zone[z])) + added);
+    const Voigt total = to_voigt(initial.zone_stress(g.grid, z) + added);
     stress.values.insert(stress.values.end(), total.data(), total.data() + 6);
     change.values.push_back(added(2, 2));
   }

@@ -10,6 +10,7 @@
 #include "common/results.hpp"
 #include "continuum_client/cycle.hpp"
 #include "continuum_client/equilibrium.hpp"
+#include "continuum_client/initial_stress.hpp"
 #include "continuum_client/settings.hpp"
 
 namespace lockstep::continuum {
@@ -70,8 +71,8 @@ class ResultFiles {
   bool is_active() const { return !folder_.empty(); }
   void add_history(const CoupledGround& ground);
   // Displacement, velocity, stress and change of vertical stress since Excavate, of the zones with is_left.
-  // `initial` are the displacements that gravity caused.
-  void add_snapshot(const CoupledGround& ground, const Vec3s& initial, const std::vector<char>& is_left);
+  // `initial` is the state that displacements start from.
+  void add_snapshot(const CoupledGround& ground, const InitialState& initial, const std::vector<char>& is_left);
   void write_interface(const CoupledGround& ground, const Vec3s& traction);
   void write_summary(const RunReport& report, const std::string& title);
 

@@ -1,5 +1,6 @@
 #include "continuum_client/settings.hpp"
 
+#include <fmt/ranges.h>
 #include <algorithm>
 #include <cmath>
 
@@ -57,6 +58,10 @@ Supports to_supports(scene::Continuum::Supports s) {
       return Supports::BottomFixed;
     case scene::Continuum::BOTTOM_ROLLER:
       return Supports::BottomRoller;
+    case scene::Continuum::QUIET:
+      return Supports::Quiet;
+    case scene::Continuum::QUIET_SIDES:
+      return Supports::QuietSides;
   }
   throw InternalError("unknown kind of supports");
 }
@@ -71,6 +76,34 @@ ZoneKind to_zone_kind(scene::Continuum::ZoneKind kind) {
       return ZoneKind::OnePoint;
   }
   throw InternalError("unknown kind of zones");
+}
+
+void read_layers(const scene::Continuum& c, const SceneFile& file, Settings& r) {
+  for (int i = 0; i < c.layer_size(); ++i) {
+    const scene::Layer& l = c.layer(i);
+    const double modulus = l.has_youngs_modulus() ? l.youngs_modulus() : c.youngs_modulus();
+    const double ratio = l.has_poisson_ratio() ? l.poisson_ratio() : c.poisson_ratio();
+    const std::string where = file.where(fmt::format("continuum.layer[{}].top", i));
+    const std::string name = l.name().empty() ? fmt::format("layer {}", i + 1) : l.name();
+    r.layers.push_back({l.top(), static_cast<std::int32_t>(r.materials.size()), where + ": " + name});
+    r.materials.push_back({elastic_moduli(modulus, ratio), l.has_density() ? l.density() : c.density()});
+  }
+  std::stable_sort(r.layers.begin(), r.layers.end(), [](const Layer& a, const Layer& b) { return a.top > b.top; });
+  for (std::size_t i = 1; i < r.layers.size(); ++i)
+    if (r.layers[i].top == r.layers[i - 1].top)
+      throw InputError(fmt::format("{}: two layers have their top at {} m; give one another or leave it out",
+                                   r.layers[i].where, r.layers[i].top));
+}
+
+Vec3 to_vector(const scene::Point& p) { return {p.x(), p.y(), p.z()}; }
+
+SurfaceLoad surface_load(const scene::SurfaceLoad& l, int index, const SceneFile& file) {
+  SurfaceLoad load{to_vector(l.low()), to_vector(l.high()), to_vector(l.traction()),
+                   l.ramp(),           l.duration(),        file.where(fmt::format("continuum.load[{}]", index))};
+  if (!(load.low.array() <= load.high.array()).all())
+    throw InputError(fmt::format("{}: the box from ({}) to ({}) is empty; low must be below high in each direction",
+                                 load.where, fmt::join(load.low, ", "), fmt::join(load.high, ", ")));
+  return load;
 }
 
 }  // namespace
@@ -103,6 +136,14 @@ Settings read_settings(const SceneFile& file) {
   }
   r.zone_kind = to_zone_kind(c.zone_kind());
   r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density()}};
+  read_layers(c, file, r);
+  if (c.has_initial_stress()) r.k0 = c.initial_stress().k0();
+  if (c.has_rayleigh()) {
+    const double omega = 2 * pi * c.rayleigh().frequency();
+    r.mass_damping = c.rayleigh().damping_ratio() * omega;
+    r.stiffness_damping = c.rayleigh().damping_ratio() / omega;
+  }
+  for (int i = 0; i < c.load_size(); ++i) r.loads.push_back(surface_load(c.load(i), i, file));
   r.gravity = s.gravity();
   r.initial_supports = to_supports(c.initial_supports());
   r.supports = to_supports(c.supports());
@@ -116,6 +157,14 @@ Settings read_settings(const SceneFile& file) {
   r.apply_tolerance = s.apply().tolerance();
   r.apply_max_steps = s.apply().max_steps();
   r.run_damping = s.run().continuum_damping();
+  if (c.dynamic()) {
+    if (s.run().has_continuum_damping() && r.run_damping > 0)
+      throw InputError(fmt::format(
+          "{}: continuum_damping is {}, but continuum.dynamic is true: local damping takes the same share of every "
+          "force, whatever its frequency, and eats waves; leave it out or 0, and damp with continuum.rayleigh",
+          file.where("run.continuum_damping"), r.run_damping));
+    r.run_damping = 0;
+  }
   r.duration = s.run().duration();
   r.step_fraction = s.fidelity().step_fraction();
 

@@ -2,6 +2,7 @@
 // common/scene.proto.
 #pragma once
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -28,14 +29,35 @@ struct BlockMesh {
   std::string where;
 };
 
-enum class Supports { AllFixed, Rollers, BottomFixed, BottomRoller };
+enum class Supports { AllFixed, Rollers, BottomFixed, BottomRoller, Quiet, QuietSides };
+
+// From z = top down to the next layer's top or the bottom.
+struct Layer {
+  double top = 0;             // [m]
+  std::int32_t material = 0;  // of Settings::materials
+  std::string where;          // for messages
+};
+
+// A traction on the faces of the surface whose centres lie in a box; smooth ramps.
+struct SurfaceLoad {
+  Vec3 low, high;       // [m]
+  Vec3 traction;        // on the ground [Pa]
+  double ramp = 0;      // [s]
+  double duration = 0;  // of the full traction; 0: for ever [s]
+  std::string where;    // for messages
+};
 
 struct Settings {
   std::string title;
   std::variant<BlockMesh, CylinderMesh> mesh;
   ZoneKind zone_kind = ZoneKind::MixedDiscretization;
   std::vector<Material> materials;  // the scene's own first, then those of its layers
-  double gravity = 0;               // downwards [m/s2]
+  std::vector<Layer> layers;        // from the highest down
+  std::optional<double> k0;         // prescribed initial stress [-]
+  double mass_damping = 0;          // Rayleigh's a [1/s]
+  double stiffness_damping = 0;     // and b [s]
+  std::vector<SurfaceLoad> loads;
+  double gravity = 0;  // downwards [m/s2]
   Supports initial_supports = Supports::Rollers;
   Supports supports = Supports::AllFixed;
 

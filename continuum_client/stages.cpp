@@ -24,9 +24,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
 
-// s(t) = 3 t^2 - 2 t^3: starts and ends without a kink, so the hand-over sends no wave of its own.
-double smoothstep(double t) { return t >= 1 ? 1.0 : t * t * (3 - 2 * t); }
-
 Vec3 sum_of(std::span<const Vec3> values) {
   Vec3 sum = Vec3::Zero();
   for (const Vec3& v : values) sum += v;
@@ -104,10 +101,11 @@ class Stages {
     take_reference_state();
     StepGuard& guard = ground_.guard;
     guard.fraction = settings_.step_fraction, guard.damping = settings_.run_damping;
+    guard.stiffness_damping = settings_.stiffness_damping;
     guard.zone_frequency_squared = frequency_squared_bound(stiffness_, mass_, ground_.integrator.is_free());
     stiffness_ = {};
     guard.zones_limit = guard.interface_limit = guard.grains_limit =
-        stable_step(guard.zone_frequency_squared, guard.damping);
+        stable_step(guard.zone_frequency_squared, guard.damping, guard.stiffness_damping);
     start_clock(guard.fraction * guard.limit());
     ground_.incoming.stable_step = guard.limit();
     ground_.damping = settings_.run_damping;
@@ -117,6 +115,7 @@ class Stages {
     begin_stage("Penetrate");
     while (ground_.time < settings_.duration && !stop_requested()) {
       ground_.compute_internal_forces();
+      ground_.load_surface();
       ground_.advance();
       ground_.guard_step();
       after_step("Penetrate", ground_.time / settings_.duration);
@@ -150,10 +149,12 @@ class Stages {
     is_free_ = free_components(grid, settings_.initial_supports, mass_);
     ground_.gravity = Vec3(0, 0, -settings_.gravity);
     beat("looking for equilibrium", 0);
-    report_.equilibrium =
-        reach_equilibrium(stiffness_, mass_, is_free_, ground_.gravity, settings_.initial_damping,
-                          settings_.equilibrium_tolerance, settings_.equilibrium_max_cycles, settings_.step_fraction,
-                          initial_, [this](const std::string& text, double fraction) { beat(text, fraction); });
+    if (settings_.k0) initial_.stress = stress_by_depth(grid, settings_.layers, *settings_.k0, settings_.gravity);
+    report_.equilibrium = reach_equilibrium(
+        stiffness_, mass_, is_free_, ground_.gravity, settings_.initial_damping, settings_.equilibrium_tolerance,
+        settings_.equilibrium_max_cycles, settings_.step_fraction, initial_.displacement,
+        [this](const std::string& text, double fraction) { beat(text, fraction); },
+        initial_.stress.empty() ? Vec3s() : prescribed_force(grid, initial_));
     describe_initial_stress();
     end_stage(fmt::format(
         "ratio {:.2e} after {} solver iterations and {} cycles (drift {:.1e}), sigma_v at bottom {:.4g} kPa, K0 "
@@ -180,7 +181,7 @@ class Stages {
     for (const LevelStress& l : discrete_domain_profile(grid, initial_))
       message.profile.push_back({l.z, l.vertical, l.horizontal});
     message.gravity = ground_.gravity;
-    message.bulk_density = grid.materials.front().density;
+    message.bulk_density = replaced_density(grid);
     message.unbalanced_ratio = report_.equilibrium.unbalanced_ratio;
     peer_->send(protocol::Message(std::move(message)));
   }
@@ -208,9 +209,10 @@ class Stages {
 
     StepGuard& guard = ground_.guard;
     guard.fraction = settings_.step_fraction, guard.damping = settings_.largest_damping();
+    guard.stiffness_damping = settings_.stiffness_damping;
     guard.zone_frequency_squared = frequency_squared_bound(stiffness_, mass_, ground_.integrator.is_free());
     stiffness_ = {};
-    guard.zones_limit = stable_step(guard.zone_frequency_squared, guard.damping);
+    guard.zones_limit = stable_step(guard.zone_frequency_squared, guard.damping, guard.stiffness_damping);
 
     protocol::ContinuumExcavated mine;
     mine.zones_deleted = report_.zones_deleted;
@@ -230,7 +232,8 @@ class Stages {
     guard.grains_limit = theirs.stable_step;
     const double contacts = contact_frequency_squared(ground_.interface.node, guard.node_stiffness,
                                                       ground_.integrator.mass(), ground_.integrator.is_free());
-    guard.interface_limit = stable_step(guard.zone_frequency_squared + contacts, guard.damping);
+    guard.interface_limit =
+        stable_step(guard.zone_frequency_squared + contacts, guard.damping, guard.stiffness_damping);
     if (!std::isfinite(guard.limit()))
       throw InputError(
           "neither the zones nor the grains limit the time step: everything is held; free some nodes or add grains");
@@ -337,14 +340,27 @@ class Stages {
     const std::size_t count = ground_.grid.node_count();
     InternalForce& force = ground_.internal_force;
     force = InternalForce(stiffness_);
-    stiffness_.multiply(initial_, force.reference);
+    stiffness_.multiply(initial_.displacement, force.reference);
+    if (!initial_.stress.empty()) {
+      const Vec3s prescribed = prescribed_force(ground_.grid, initial_, is_left_);
+      for (std::size_t i = 0; i < count; ++i) force.reference[i] += prescribed[i];
+    }
     const Vec3s after = free_components(ground_.grid, settings_.supports, mass_);
     Vec3s weight(count);
     for (std::size_t i = 0; i < count; ++i) weight[i] = mass_[i] * ground_.gravity;
     ground_.reaction_load = released_reactions(is_free_, after, force.reference, weight);
-    ground_.integrator = Integrator(mass_, after);
+    Vec3s dashpot = quiet_dashpots(ground_.grid, settings_.supports, is_left_);
+    if (settings_.mass_damping > 0) {
+      dashpot.resize(count, Vec3::Zero());
+      for (std::size_t i = 0; i < count; ++i) dashpot[i] += Vec3::Constant(settings_.mass_damping * mass_[i]);
+    }
+    ground_.integrator = Integrator(mass_, after, std::move(dashpot));
+    ground_.stiffness_damping = settings_.stiffness_damping;
+    ground_.loads = settings_.loads;
+    for (const SurfaceLoad& load : settings_.loads)
+      ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
     ground_.motion = {Vec3s(count, Vec3::Zero()), Vec3s(count, Vec3::Zero())};
-    ground_.internal = force.reference;
+    ground_.internal = ground_.last_internal = force.reference;
     ground_.velocity_limit = fastest_wave(ground_.grid);
     ground_.hash_interval = settings_.hash_interval;
     gather_interface(ground_.interface, ground_.motion.velocity, ground_.outgoing.velocity);
@@ -534,7 +550,7 @@ class Stages {
   StiffnessMatrix stiffness_;  // until the stable step is known; internal_force has its own form of it
   std::vector<double> mass_;   // per node [kg]
   Vec3s is_free_;              // in InitialStress
-  Vec3s initial_;              // displacements that gravity caused, for stresses [m]
+  InitialState initial_;       // before Excavate
   Vec3s reaction_;             // f_A per interface node [N]
   Vec3s traction_;             // per facet [Pa]
   std::vector<char> is_left_;  // per zone

@@ -91,9 +91,10 @@ double contact_frequency_squared(std::span<const std::int32_t> node, std::span<c
   return largest;
 }
 
-double stable_step(double frequency_squared, double damping) {
+double stable_step(double frequency_squared, double damping, double stiffness_damping) {
   if (!(frequency_squared > 0)) return std::numeric_limits<double>::infinity();
-  return 2 / std::sqrt(frequency_squared) / std::sqrt(1 + damping);
+  const double omega = std::sqrt(frequency_squared), xi = 0.5 * stiffness_damping * omega;
+  return 2 / omega * (std::sqrt(1 + xi * xi) - xi) / std::sqrt(1 + damping);
 }
 
 }  // namespace lockstep::continuum

@@ -34,7 +34,11 @@ double frequency_squared_bound(const StiffnessMatrix& stiffness, const std::vect
 double contact_frequency_squared(std::span<const std::int32_t> node, std::span<const double> node_stiffness,
                                  const std::vector<double>& mass, const Vec3s& is_free);
 
-// 2 / sqrt(omega^2) / sqrt(1 + damping); infinite for omega^2 = 0 [s].
-double stable_step(double frequency_squared, double damping);
+// 2 / sqrt(omega^2) / sqrt(1 + damping); infinite for omega^2 = 0 [s]. With stiffness-proportional damping b [s], whose
+// force at n is made of the velocity at n-1/2, the highest mode's v+ = v- - dt (omega^2 u + b omega^2 v-) is stable up to
+//   dt = 2 / omega (sqrt(1 + xi^2) - xi),  xi = b omega / 2,
+// where the roots of z^2 - (2 - omega^2 dt^2 - b omega^2 dt) z + 1 - b omega^2 dt reach z = -1:
+// omega^2 dt^2 + 2 b omega^2 dt = 4.
+double stable_step(double frequency_squared, double damping, double stiffness_damping = 0);
 
 }  // namespace lockstep::continuum

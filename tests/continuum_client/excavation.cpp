@@ -20,7 +20,7 @@ struct Ground {
   Ground() {
     reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-6, 1000, 0.9, u, {});
   }
-  Vec3s reaction() const { return discrete_domain_reaction(grid, surface, gravity, u); }
+  Vec3s reaction() const { return discrete_domain_reaction(grid, surface, gravity, InitialState(u)); }
 };
 
 }  // namespace
@@ -117,7 +117,7 @@ TEST_CASE("the deleted zones' reaction is their weight, and its traction the ear
   INFO("sum of reactions over weight: " << total.transpose() / (deleted * g.gravity));
   CHECK((total + Vec3(0, 0, deleted * g.gravity)).norm() / (deleted * g.gravity) < 1e-9);
 
-  const std::vector<Voigt> stress = facet_stress(g.grid, g.surface, g.u);
+  const std::vector<Voigt> stress = facet_stress(g.grid, g.surface, InitialState(g.u));
   const Vec3s traction = facet_traction(g.surface, stress, reaction);
   Vec3 lumped = Vec3::Zero();
   double worst_ring = 0, worst_bottom = 0, worst_stress = 0;
@@ -149,7 +149,7 @@ TEST_CASE("the deleted zones' reaction is their weight, and its traction the ear
   CHECK(worst_ring < 0.05);
   CHECK(worst_bottom < 0.05);
 
-  const std::vector<LevelStress> profile = discrete_domain_profile(g.grid, g.u);
+  const std::vector<LevelStress> profile = discrete_domain_profile(g.grid, InitialState(g.u));
   REQUIRE(profile.size() == 6);
   for (std::size_t l = 0; l < profile.size(); ++l) {
     if (l > 0) CHECK(profile[l].z > profile[l - 1].z);
