@@ -62,7 +62,7 @@ void shared_rows(const StiffnessRun* runs, std::int32_t count, const std::int32_
     const std::int32_t most = run.nodes < block ? run.nodes : block;
     for (std::int32_t k = 0; k < run.nodes; k += block) {
       const std::int64_t first = run.first + (k + block <= run.nodes ? k : run.nodes - most);
-      alignas(64) double result[3 * block];
+      alignas(64) double result[3 * block] = {};
       for (int piece = 0; piece < pieces; ++piece) {
         const std::int64_t begin = first + piece * parts_at_once * width;
         Lanes3 sum[parts_at_once] = {};
