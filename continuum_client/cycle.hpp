@@ -3,12 +3,14 @@
 // On entry: u and the interface's positions x at t_n, velocities at t_(n-1/2), f_int and forces of t_(n-1).
 #pragma once
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "common/parallel.hpp"
 #include "common/profile.hpp"
 #include "continuum_client/boundary_conditions.hpp"
 #include "continuum_client/grid.hpp"
+#include "continuum_client/incremental_force.hpp"
 #include "continuum_client/integrator.hpp"
 #include "continuum_client/interface_surface.hpp"
 #include "continuum_client/internal_force.hpp"
@@ -66,6 +68,7 @@ class CoupledGround {
   // ------------------------------------------------------------------ what they work on
   Grid grid;
   InternalForce internal_force;
+  std::unique_ptr<IncrementalForce> incremental;  // in its place, where the scene says so
   Integrator integrator{{}, {}};
   Motion motion;
   Vec3s internal;               // f_int(n) [N]
@@ -94,6 +97,9 @@ class CoupledGround {
   StepSums sums;                  // of the last step
   protocol::Velocities outgoing;  // velocity: v(n-1/2) of the interface; its memory is reused
   protocol::Forces incoming;      // F(n)
+  // Stress of a zone now; `initial` is the state that displacements start from [Pa].
+  Mat3 zone_stress(const InitialState& initial, std::size_t z) const;
+
   Team* team = &Team::alone();
   Profile<Phase> profile;
 };

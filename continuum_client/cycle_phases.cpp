@@ -39,7 +39,10 @@ void CoupledGround::send_velocities(protocol::Session& peer) {
 void CoupledGround::compute_internal_forces() {
   const auto scope = profile.measure(Phase::InternalForces);
   if (stiffness_damping > 0) std::swap(internal, last_internal);
-  internal_force.evaluate(motion.displacement, internal, *team);
+  if (incremental)
+    incremental->advance(motion.displacement, motion.velocity, step_sizes.into, internal, *team);
+  else
+    internal_force.evaluate(motion.displacement, internal, *team);
   if (stiffness_damping == 0) return;
   // u(n) = u(n-1) + v(n-1/2) dt: the difference of two products is the product that damping needs.
   const double share = -stiffness_damping / step_sizes.into;
@@ -74,6 +77,7 @@ void CoupledGround::advance() {
       gravity, loads.empty() ? reaction_load : boundary_load, interface.node, incoming.force, baseline.force, viscous};
   sums = integrator.advance(motion, internal, internal_force.reference, forces, damping, step_sizes, velocity_limit,
                             *team);
+  if (incremental) integrator.set_elastic(incremental->work());
   if (sums.runaway_node >= 0) {
     const Vec3& x = grid.node[sums.runaway_node];
     throw NumericalError(
@@ -85,6 +89,12 @@ void CoupledGround::advance() {
   }
   gather_interface(interface, motion.velocity, outgoing.velocity);
   interface.advance(outgoing.velocity, step_sizes.out_of);
+}
+
+Mat3 CoupledGround::zone_stress(const InitialState& initial, std::size_t z) const {
+  if (incremental) return incremental->zone_stress(z);
+  return initial.zone_stress(grid, z) +
+         continuum::zone_stress(grid.geometry(z), grid.moduli(z), gather(motion.displacement, grid.zone[z]));
 }
 
 void CoupledGround::guard_step() {

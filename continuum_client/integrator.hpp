@@ -106,6 +106,8 @@ class Integrator {
   const std::vector<double>& mass() const { return mass_; }
   const Vec3s& is_free() const { return is_free_; }
   const Ledger& ledger() const { return ledger_; }
+  // Elastic energy at n where u . (f0 + K u / 2) is not it [J].
+  void set_elastic(double energy) { ledger_.elastic = energy; }
   // Starts the ledger anew.
   void clear_ledger();
 

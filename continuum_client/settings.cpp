@@ -136,6 +136,13 @@ Settings read_settings(const SceneFile& file) {
   }
   r.zone_kind = to_zone_kind(c.zone_kind());
   r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density()}};
+  r.is_incremental = c.route() == scene::Continuum::INCREMENTAL;
+  r.has_large_strain = c.large_strain();
+  if (r.has_large_strain && !r.is_incremental)
+    throw InputError(
+        fmt::format("{}: large_strain needs route: INCREMENTAL; the assembled operator keeps the shape that "
+                    "the mesh has at the start",
+                    file.where("continuum.large_strain")));
   read_layers(c, file, r);
   if (c.has_initial_stress()) r.k0 = c.initial_stress().k0();
   if (c.has_rayleigh()) {

@@ -52,10 +52,11 @@ struct Settings {
   std::variant<BlockMesh, CylinderMesh> mesh;
   ZoneKind zone_kind = ZoneKind::MixedDiscretization;
   std::vector<Material> materials;  // the scene's own first, then those of its layers
-  std::vector<Layer> layers;        // from the highest down
-  std::optional<double> k0;         // prescribed initial stress [-]
-  double mass_damping = 0;          // Rayleigh's a [1/s]
-  double stiffness_damping = 0;     // and b [s]
+  bool is_incremental = false, has_large_strain = false;
+  std::vector<Layer> layers;     // from the highest down
+  std::optional<double> k0;      // prescribed initial stress [-]
+  double mass_damping = 0;       // Rayleigh's a [1/s]
+  double stiffness_damping = 0;  // and b [s]
   std::vector<SurfaceLoad> loads;
   double gravity = 0;  // downwards [m/s2]
   Supports initial_supports = Supports::Rollers;

@@ -356,6 +356,9 @@ class Stages {
     }
     ground_.integrator = Integrator(mass_, after, std::move(dashpot));
     ground_.stiffness_damping = settings_.stiffness_damping;
+    if (settings_.is_incremental)
+      ground_.incremental =
+          std::make_unique<IncrementalForce>(ground_.grid, is_left_, initial_, settings_.has_large_strain);
     ground_.loads = settings_.loads;
     for (const SurfaceLoad& load : settings_.loads)
       ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
