@@ -90,42 +90,45 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
 }
 
 EquilibriumReport reach_equilibrium(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
-                                    const Vec3s& is_free, const Vec3& gravity, double damping, double tolerance,
-                                    std::uint32_t max_cycles, double step_fraction, Vec3s& displacement,
-                                    const ProgressCallback& progress, const Vec3s& prescribed) {
+                                    const Vec3s& is_free, const Vec3& gravity, const EquilibriumSettings& settings,
+                                    Vec3s& displacement, const ProgressCallback& progress, const Vec3s& prescribed) {
   EquilibriumReport report;
-  Vec3s weight(mass.size());
+  Vec3s weight(mass.size()), load(mass.size());
   double all = 0, left = 0;
   for (std::size_t i = 0; i < mass.size(); ++i) {
-    weight[i] = mass[i] * gravity;
+    load[i] = weight[i] = mass[i] * gravity;
     all += weight[i].squaredNorm();
-    if (!prescribed.empty()) weight[i] -= prescribed[i];
-    left += weight[i].cwiseProduct(is_free[i]).squaredNorm();
+    if (!prescribed.empty()) load[i] -= prescribed[i];
+    left += load[i].cwiseProduct(is_free[i]).squaredNorm();
   }
   // What prescribed stresses leave of round-off is no load to solve for.
   displacement.assign(mass.size(), Vec3::Zero());
-  if (left > solver_tolerance * solver_tolerance * all)
-    report.solve = solve_static(stiffness, is_free, weight, displacement, progress);
-  report.time_step = step_fraction * stable_step(frequency_squared_bound(stiffness, mass, is_free), damping);
+  if (settings.is_solved && left > solver_tolerance * solver_tolerance * all)
+    report.solve = solve_static(stiffness, is_free, load, displacement, progress);
+  const std::vector<double> inertia = settings.scales_density ? scaled_masses(stiffness, mass, is_free) : mass;
+  report.time_step =
+      settings.step_fraction * stable_step(frequency_squared_bound(stiffness, inertia, is_free), settings.damping);
   if (!std::isfinite(report.time_step)) return report;  // nothing can move
 
   const Vec3s solution = displacement;
-  Integrator integrator(mass, is_free);
+  Integrator integrator(inertia, is_free);
   Motion motion{displacement, Vec3s(mass.size(), Vec3::Zero())};
   const Vec3s nothing(mass.size(), Vec3::Zero());
   NodalLoads loads;
-  loads.gravity = gravity;
+  loads.reaction = weight;  // not of the integrator's masses, which may be scaled
   Vec3s internal(mass.size());
   StiffnessProduct product(stiffness);
   const double no_limit = std::numeric_limits<double>::max();
+  const std::uint32_t fewest = settings.is_solved ? proof_cycles : 1;
+  const double tolerance = settings.tolerance;
   do {
     product.evaluate(motion.displacement, prescribed, internal);
-    const StepSums sums =
-        integrator.advance(motion, internal, nothing, loads, damping, {report.time_step, report.time_step}, no_limit);
+    const StepSums sums = integrator.advance(motion, internal, nothing, loads, settings.damping,
+                                             {report.time_step, report.time_step}, no_limit);
     report.unbalanced_ratio = sums.unbalanced_ratio();
     ++report.cycles;
     if (progress) progress(fmt::format("cycling to equilibrium, ratio {:.1e}", report.unbalanced_ratio), 1.0);
-  } while ((report.cycles < proof_cycles || report.unbalanced_ratio > tolerance) && report.cycles < max_cycles);
+  } while ((report.cycles < fewest || report.unbalanced_ratio > tolerance) && report.cycles < settings.max_cycles);
   if (!(report.unbalanced_ratio <= tolerance))
     throw NumericalError(fmt::format(
         "InitialStress: unbalanced ratio {:.3g} after {} cycles, above continuum.equilibrium_tolerance {:.3g}; "

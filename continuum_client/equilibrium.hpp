@@ -28,21 +28,29 @@ struct SolveReport {
 SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free, const Vec3s& force,
                          Vec3s& displacement, const ProgressCallback& progress);
 
+struct EquilibriumSettings {
+  double damping = 0.7;         // local [-]
+  double tolerance = 1e-6;      // unbalanced ratio [-]
+  std::uint32_t max_cycles = 200000;
+  double step_fraction = 0.9;   // of the stable step [-]
+  bool is_solved = true;        // by conjugate gradients first; cycles from rest otherwise
+  bool scales_density = false;  // cycles with scaled_masses() (timestep.hpp)
+};
+
 struct EquilibriumReport {
   SolveReport solve;
   std::uint32_t cycles = 0;
   double unbalanced_ratio = 0;  // after the cycles [-]
-  double drift = 0;             // largest displacement of a node during the cycles over the largest displacement [-]
+  double drift = 0;             // largest displacement of a node since the solution over the largest displacement [-]
   double time_step = 0;         // [s]
 };
 
 // Fills `displacement` with the equilibrium under the acceleration `gravity` [m/s2], beside the internal forces
-// `prescribed` of stresses that are there from the start (empty: none). Cycles with local damping
-// `damping` until the unbalanced ratio is below `tolerance`, at least constants' proof_cycles; NumericalError after
-// max_cycles.
+// `prescribed` of stresses that are there from the start (empty: none). Cycles until the unbalanced ratio is below the
+// tolerance, after a solution at least constants' proof_cycles; NumericalError after max_cycles.
 EquilibriumReport reach_equilibrium(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
-                                    const Vec3s& is_free, const Vec3& gravity, double damping, double tolerance,
-                                    std::uint32_t max_cycles, double step_fraction, Vec3s& displacement,
-                                    const ProgressCallback& progress, const Vec3s& prescribed = {});
+                                    const Vec3s& is_free, const Vec3& gravity, const EquilibriumSettings& settings,
+                                    Vec3s& displacement, const ProgressCallback& progress,
+                                    const Vec3s& prescribed = {});
 
 }  // namespace lockstep::continuum

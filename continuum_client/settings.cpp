@@ -106,6 +106,19 @@ SurfaceLoad surface_load(const scene::SurfaceLoad& l, int index, const SceneFile
   return load;
 }
 
+void check_density_scaling(const scene::Continuum& c, const Settings& r, const SceneFile& file) {
+  const char* what = nullptr;
+  if (c.dynamic()) what = "continuum.dynamic is true";
+  if (r.scales_density && c.has_rayleigh()) what = "continuum.rayleigh damps motion";
+  if (r.scales_density && (r.supports == Supports::Quiet || r.supports == Supports::QuietSides))
+    what = "continuum.supports absorb waves";
+  if (what)
+    throw InputError(
+        fmt::format("{}: density_scaling gives nodes another inertia than they have, so that waves travel at other "
+                    "speeds; it is for states of rest, but {}; leave one of them out",
+                    file.where("fidelity.density_scaling"), what));
+}
+
 }  // namespace
 
 double Settings::largest_damping() const {
@@ -154,9 +167,12 @@ Settings read_settings(const SceneFile& file) {
   r.gravity = s.gravity();
   r.initial_supports = to_supports(c.initial_supports());
   r.supports = to_supports(c.supports());
-  r.initial_damping = c.initial_damping();
-  r.equilibrium_tolerance = c.equilibrium_tolerance();
-  r.equilibrium_max_cycles = c.equilibrium_max_cycles();
+  r.equilibrium.damping = c.initial_damping();
+  r.equilibrium.tolerance = c.equilibrium_tolerance();
+  r.equilibrium.max_cycles = c.equilibrium_max_cycles();
+  r.equilibrium.step_fraction = s.fidelity().step_fraction();
+  r.equilibrium.is_solved = c.equilibrium() == scene::Continuum::SOLVE;
+  r.equilibrium.scales_density = s.fidelity().density_scaling();
 
   r.holds_baseline = s.apply().baseline() == scene::Apply::HOLD;
   r.ramp_transits = s.apply().ramp_transits();
@@ -173,6 +189,9 @@ Settings read_settings(const SceneFile& file) {
     r.run_damping = 0;
   }
   r.duration = s.run().duration();
+  r.run_tolerance = s.run().tolerance();
+  r.scales_density = s.fidelity().density_scaling() && !s.has_grains();
+  if (s.fidelity().density_scaling()) check_density_scaling(c, r, file);
   r.step_fraction = s.fidelity().step_fraction();
 
   r.has_grains = s.has_grains();

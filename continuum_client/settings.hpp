@@ -10,6 +10,7 @@
 #include "common/scene.hpp"
 #include "common/vectors.hpp"
 #include "continuum_client/elastic_law.hpp"
+#include "continuum_client/equilibrium.hpp"
 #include "continuum_client/zone_kinematics.hpp"
 
 namespace lockstep::continuum {
@@ -62,9 +63,7 @@ struct Settings {
   Supports initial_supports = Supports::Rollers;
   Supports supports = Supports::AllFixed;
 
-  double initial_damping = 0;        // [-]
-  double equilibrium_tolerance = 0;  // [-]
-  std::uint32_t equilibrium_max_cycles = 0;
+  EquilibriumSettings equilibrium;
 
   bool holds_baseline = false;        // Apply: the offset stays for ever
   double ramp_transits = 0;           // [P-wave transits of the depth]
@@ -73,6 +72,8 @@ struct Settings {
   std::uint32_t apply_max_steps = 0;  // 0: no Apply stage
   double run_damping = 0;             // [-]
   double duration = 0;                // of scenes without a pile [s]
+  double run_tolerance = 0;           // of the ground alone, unbalanced ratio [-]
+  bool scales_density = false;        // of the ground alone
   double step_fraction = 0;           // [-]
 
   bool has_grains = false;

@@ -102,7 +102,8 @@ class Stages {
     StepGuard& guard = ground_.guard;
     guard.fraction = settings_.step_fraction, guard.damping = settings_.run_damping;
     guard.stiffness_damping = settings_.stiffness_damping;
-    guard.zone_frequency_squared = frequency_squared_bound(stiffness_, mass_, ground_.integrator.is_free());
+    guard.zone_frequency_squared =
+        frequency_squared_bound(stiffness_, ground_.integrator.mass(), ground_.integrator.is_free());
     stiffness_ = {};
     guard.zones_limit = guard.interface_limit = guard.grains_limit =
         stable_step(guard.zone_frequency_squared, guard.damping, guard.stiffness_damping);
@@ -113,14 +114,23 @@ class Stages {
     ground_.baseline.force = ground_.baseline.offset = ground_.incoming.force;
     files_.add_snapshot(ground_, initial_, is_left_);
     begin_stage("Penetrate");
-    while (ground_.time < settings_.duration && !stop_requested()) {
+    double still = 0;  // from when on the loads do not change [s]
+    for (const SurfaceLoad& load : settings_.loads)
+      still = std::max(still, load.duration > 0 ? 2 * load.ramp + load.duration : load.ramp);
+    bool is_at_rest = false;
+    while (ground_.time < settings_.duration && !is_at_rest && !stop_requested()) {
       ground_.compute_internal_forces();
       ground_.load_surface();
       ground_.advance();
+      is_at_rest = ground_.time >= still && ground_.sums.unbalanced_ratio() < settings_.run_tolerance;
       ground_.guard_step();
       after_step("Penetrate", ground_.time / settings_.duration);
     }
-    end_stage(fmt::format("{} steps, {:.4g} s", ground_.step, ground_.time));
+    if (settings_.run_tolerance > 0 && !is_at_rest && !report_.is_interrupted)
+      spdlog::warn("the run ends at run.duration {} s with an unbalanced ratio of {:.2e}, above run.tolerance {:.2e}",
+                   settings_.duration, ground_.sums.unbalanced_ratio(), settings_.run_tolerance);
+    end_stage(fmt::format("{} steps, {:.4g} s, unbalanced ratio {:.2e}", ground_.step, ground_.time,
+                          ground_.sums.unbalanced_ratio()));
   }
 
   void hello() {
@@ -151,8 +161,7 @@ class Stages {
     beat("looking for equilibrium", 0);
     if (settings_.k0) initial_.stress = stress_by_depth(grid, settings_.layers, *settings_.k0, settings_.gravity);
     report_.equilibrium = reach_equilibrium(
-        stiffness_, mass_, is_free_, ground_.gravity, settings_.initial_damping, settings_.equilibrium_tolerance,
-        settings_.equilibrium_max_cycles, settings_.step_fraction, initial_.displacement,
+        stiffness_, mass_, is_free_, ground_.gravity, settings_.equilibrium, initial_.displacement,
         [this](const std::string& text, double fraction) { beat(text, fraction); },
         initial_.stress.empty() ? Vec3s() : prescribed_force(grid, initial_));
     describe_initial_stress();
@@ -354,7 +363,20 @@ class Stages {
       dashpot.resize(count, Vec3::Zero());
       for (std::size_t i = 0; i < count; ++i) dashpot[i] += Vec3::Constant(settings_.mass_damping * mass_[i]);
     }
-    ground_.integrator = Integrator(mass_, after, std::move(dashpot));
+    std::vector<double> inertia = mass_;
+    ground_.velocity_limit = fastest_wave(ground_.grid);
+    if (settings_.scales_density) {
+      inertia = scaled_masses(stiffness_, mass_, after);
+      double lightest = 1;
+      for (std::size_t i = 0; i < count; ++i)
+        if (mass_[i] > 0) lightest = std::min(lightest, inertia[i] / mass_[i]);
+      ground_.velocity_limit /= std::sqrt(lightest);
+      // The weight is the real masses'.
+      if (ground_.reaction_load.empty()) ground_.reaction_load.assign(count, Vec3::Zero());
+      for (std::size_t i = 0; i < count; ++i) ground_.reaction_load[i] += weight[i];
+      ground_.gravity.setZero();
+    }
+    ground_.integrator = Integrator(std::move(inertia), after, std::move(dashpot));
     ground_.stiffness_damping = settings_.stiffness_damping;
     if (settings_.is_incremental)
       ground_.incremental =
@@ -364,7 +386,6 @@ class Stages {
       ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
     ground_.motion = {Vec3s(count, Vec3::Zero()), Vec3s(count, Vec3::Zero())};
     ground_.internal = ground_.last_internal = force.reference;
-    ground_.velocity_limit = fastest_wave(ground_.grid);
     ground_.hash_interval = settings_.hash_interval;
     gather_interface(ground_.interface, ground_.motion.velocity, ground_.outgoing.velocity);
   }

@@ -56,9 +56,11 @@ double lanczos_frequency_squared(const StiffnessMatrix& stiffness, const std::ve
   return std::max(0.0, solver.eigenvalues()[n - 1]);
 }
 
-double gershgorin_frequency_squared(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
-                                    const Vec3s& is_free) {
-  const std::size_t count = mass.size();
+namespace {
+
+// sum_j ||K_ij|| per node [N/m].
+std::vector<double> row_norms(const StiffnessMatrix& stiffness, const Vec3s& is_free) {
+  const std::size_t count = stiffness.node_count();
   std::vector<double> row(count, 0.0);
   for (std::size_t i = 0; i < count; ++i)
     for (std::int64_t k = stiffness.row_begin[i]; k < stiffness.row_begin[i + 1]; ++k) {
@@ -70,10 +72,31 @@ double gershgorin_frequency_squared(const StiffnessMatrix& stiffness, const std:
       row[i] += norm;
       if (j != static_cast<std::int32_t>(i)) row[j] += norm;
     }
+  return row;
+}
+
+double largest_ratio(const std::vector<double>& row, const std::vector<double>& mass) {
   double largest = 0;
-  for (std::size_t i = 0; i < count; ++i)
+  for (std::size_t i = 0; i < mass.size(); ++i)
     if (mass[i] > 0) largest = std::max(largest, row[i] / mass[i]);
   return largest;
+}
+
+}  // namespace
+
+double gershgorin_frequency_squared(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                                    const Vec3s& is_free) {
+  return largest_ratio(row_norms(stiffness, is_free), mass);
+}
+
+std::vector<double> scaled_masses(const StiffnessMatrix& stiffness, const std::vector<double>& mass,
+                                  const Vec3s& is_free) {
+  const std::vector<double> row = row_norms(stiffness, is_free);
+  const double frequency_squared = largest_ratio(row, mass);
+  std::vector<double> scaled = mass;
+  for (std::size_t i = 0; i < mass.size(); ++i)
+    if (mass[i] > 0 && row[i] > 0) scaled[i] = row[i] / frequency_squared;
+  return scaled;
 }
 
 double frequency_squared_bound(const StiffnessMatrix& stiffness, const std::vector<double>& mass,

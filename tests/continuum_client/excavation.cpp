@@ -18,7 +18,7 @@ struct Ground {
   double gravity = 9.81;
 
   Ground() {
-    reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-6, 1000, 0.9, u, {});
+    reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -gravity), {0.7, 1e-6, 1000, 0.9}, u, {});
   }
   Vec3s reaction() const { return discrete_domain_reaction(grid, surface, gravity, InitialState(u)); }
 };

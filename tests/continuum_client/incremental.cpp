@@ -44,7 +44,7 @@ TEST_CASE("stored stresses move the ground as the assembled operator does, to ro
     const std::vector<double> mass = lumped_masses(grid);
     const StiffnessMatrix k = assemble_stiffness(grid);
     InitialState initial;
-    reach_equilibrium(k, mass, is_free, Vec3(0, 0, -9.81), 0.7, 1e-8, 1000, 0.9, initial.displacement, {});
+    reach_equilibrium(k, mass, is_free, Vec3(0, 0, -9.81), {0.7, 1e-8, 1000, 0.9}, initial.displacement, {});
     InternalForce assembled(k);
     k.multiply(initial.displacement, assembled.reference);
     const double dt = 0.5 * stable_step(frequency_squared_bound(k, mass, is_free), 0);

@@ -33,7 +33,7 @@ TEST_CASE("a layered column settles layer by layer, with a contrast of a million
       const std::vector<double> mass = lumped_masses(grid);
       const Vec3s is_free = free_components(grid, Supports::Rollers, mass);
       Vec3s u;
-      reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-8, 1000, 0.9, u, {});
+      reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -gravity), {0.7, 1e-8, 1000, 0.9}, u, {});
       const double height[3] = {1, 1.5, 1.5};
       double top_stress = 0, exact = 0, surface = 0;
       for (int l = 0; l < 3; ++l) {
@@ -70,7 +70,7 @@ TEST_CASE("prescribed stress balances gravity on horizontal layers with nothing 
   InitialState state;
   state.stress = stress_by_depth(grid, s.layers, *s.k0, 9.81);
   const EquilibriumReport report =
-      reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -9.81), 0.7, 1e-8, 1000, 0.9,
+      reach_equilibrium(assemble_stiffness(grid), mass, is_free, Vec3(0, 0, -9.81), {0.7, 1e-8, 1000, 0.9},
                         state.displacement, {}, prescribed_force(grid, state));
   double moved = 0;
   for (const Vec3& u : state.displacement) moved = std::max(moved, u.norm());
@@ -97,8 +97,7 @@ TEST_CASE("the hand-off of a prescribed stress leaves round-off, on distorted zo
       const std::vector<double> all = lumped_masses(grid);
       InitialState state;
       state.stress = stress_by_depth(grid, {}, 0.5, 9.81);
-      reach_equilibrium(assemble_stiffness(grid), all, free_components(grid, Supports::Rollers, all), Vec3(0, 0, -9.81),
-                        0.7, 1e-8, 1000, 0.9, state.displacement, {}, prescribed_force(grid, state));
+      reach_equilibrium(assemble_stiffness(grid), all, free_components(grid, Supports::Rollers, all), Vec3(0, 0, -9.81), {0.7, 1e-8, 1000, 0.9}, state.displacement, {}, prescribed_force(grid, state));
       const std::vector<char> is_left = zones_outside_discrete_domain(grid);
       const InterfaceSurface surface = interface_surface(grid);
       const Vec3s reaction = discrete_domain_reaction(grid, surface, 9.81, state);

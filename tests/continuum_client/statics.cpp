@@ -157,7 +157,7 @@ TEST_CASE("a column under its own weight is exact at its nodes, for any aspect o
       const StiffnessMatrix k = assemble_stiffness(grid);
       Vec3s u;
       const EquilibriumReport report =
-          reach_equilibrium(k, mass, is_free, Vec3(0, 0, -gravity), 0.7, 1e-8, 1000, 0.9, u, {});
+          reach_equilibrium(k, mass, is_free, Vec3(0, 0, -gravity), {0.7, 1e-8, 1000, 0.9}, u, {});
       const double m = test_moduli.constrained(), largest = test_density * gravity * height * height / 2 / m;
       double error = 0, stress_error = 0, k0_error = 0;
       for (std::size_t i = 0; i < u.size(); ++i) {
