@@ -14,9 +14,19 @@
 #include <functional>
 #include <memory>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace lockstep {
+
+// The part of `count` things that is a thread's: [first, second), in the order of threads.
+template <class Count>
+std::pair<Count, Count> share_of(Count count, int thread, int threads) {
+  const auto border = [&](int t) {
+    return static_cast<Count>(static_cast<std::int64_t>(count) * t / static_cast<std::int64_t>(threads));
+  };
+  return {border(thread), border(thread + 1)};
+}
 
 class Team {
  public:

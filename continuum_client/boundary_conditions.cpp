@@ -63,7 +63,7 @@ Vec3s released_reactions(const Vec3s& before, const Vec3s& after, const Vec3s& i
 
 std::vector<OuterFace> outer_faces(const Grid& grid, const std::vector<char>& is_included) {
   std::map<std::array<std::int32_t, 4>, int> owners;  // by sorted nodes
-  const auto sorted_face = [&](std::size_t z, const std::array<int, 4>& face) {
+  const auto sorted_face = [&](std::size_t z, const auto& face) {
     std::array<std::int32_t, 4> key;
     for (int c = 0; c < 4; ++c) key[c] = grid.zone[z][face[c]];
     std::sort(key.begin(), key.end());

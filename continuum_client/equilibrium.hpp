@@ -29,8 +29,8 @@ SolveReport solve_static(const StiffnessMatrix& stiffness, const Vec3s& is_free,
                          Vec3s& displacement, const ProgressCallback& progress);
 
 struct EquilibriumSettings {
-  double damping = 0.7;         // local [-]
-  double tolerance = 1e-6;      // unbalanced ratio [-]
+  double damping = 0.7;     // local [-]
+  double tolerance = 1e-6;  // unbalanced ratio [-]
   std::uint32_t max_cycles = 200000;
   double step_fraction = 0.9;   // of the stable step [-]
   bool is_solved = true;        // by conjugate gradients first; cycles from rest otherwise

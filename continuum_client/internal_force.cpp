@@ -1,6 +1,7 @@
 #include "continuum_client/internal_force.hpp"
 
 #include <algorithm>
+#include <utility>
 
 namespace lockstep::continuum {
 
@@ -80,5 +81,8 @@ std::vector<double> lumped_masses(const Grid& grid, const std::vector<char>& is_
 
 InternalForce::InternalForce(const StiffnessMatrix& stiffness, InstructionSet instructions)
     : reference(stiffness.node_count(), Vec3::Zero()), product_(stiffness, instructions) {}
+
+InternalForce::InternalForce(StiffnessProduct product)
+    : reference(product.node_count(), Vec3::Zero()), product_(std::move(product)) {}
 
 }  // namespace lockstep::continuum

@@ -47,6 +47,7 @@ class InternalForce {
  public:
   InternalForce() = default;
   explicit InternalForce(const StiffnessMatrix& stiffness, InstructionSet instructions = best_instructions());
+  explicit InternalForce(StiffnessProduct product);
 
   Vec3s reference;  // f0 per node, zero at first [N]
 

@@ -348,7 +348,7 @@ class Stages {
   void take_reference_state() {
     const std::size_t count = ground_.grid.node_count();
     InternalForce& force = ground_.internal_force;
-    force = InternalForce(stiffness_);
+    force = InternalForce(StiffnessProduct(stiffness_, ground_.grid, is_left_));
     stiffness_.multiply(initial_.displacement, force.reference);
     if (!initial_.stress.empty()) {
       const Vec3s prescribed = prescribed_force(ground_.grid, initial_, is_left_);

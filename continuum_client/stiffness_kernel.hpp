@@ -3,6 +3,10 @@
 #pragma once
 #include <cstdint>
 
+namespace lockstep {
+enum class InstructionSet;  // common/instructions.hpp
+}
+
 namespace lockstep::continuum {
 
 // Consecutive nodes whose neighbours stand at the same offsets.
@@ -41,6 +45,7 @@ struct StiffnessKernel {
 constexpr std::int32_t nodes_at_once = 8;
 constexpr std::int32_t fewest_lanes = 4;
 
+StiffnessKernel stiffness_kernel(InstructionSet set);
 StiffnessKernel stiffness_kernel_generic();
 StiffnessKernel stiffness_kernel_avx2();
 StiffnessKernel stiffness_kernel_avx512();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 #include <numeric>
 #include <span>
 
@@ -10,20 +11,6 @@
 
 namespace lockstep::continuum {
 namespace {
-
-StiffnessKernel kernel_of([[maybe_unused]] InstructionSet set) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return stiffness_kernel_avx512();
-  if (set == InstructionSet::Avx2) return stiffness_kernel_avx2();
-#endif
-  return stiffness_kernel_generic();
-}
-
-// Chunks are what threads share out: more than there will be threads, few enough to cost nothing.
-constexpr std::int32_t chunks_wanted = 32;
-// Half rows: a chunk has this many nodes at least, or twice as many as its highest neighbour is away, so that little is
-// added up twice.
-constexpr std::int32_t fewest_chunk_nodes = 1024;
 
 // A neighbour of a node: node plus offset, the block in the matrix, and whether it is that block's transpose.
 struct Neighbour {
@@ -102,36 +89,81 @@ double half_cost(std::int32_t nodes, std::size_t neighbours) {
   return nodes < fewest_lanes ? 25 * blocks : (25.0 / nodes_at_once + 9) * blocks;
 }
 
+struct Costs {
+  double shared = 0, half = 0;
+};
+
+Costs costs_of(const StiffnessMatrix& matrix) {
+  const WholeRows rows(matrix);
+  const auto nodes = static_cast<std::int32_t>(matrix.node_count());
+  std::vector<Neighbour> row, last;
+  Costs costs;
+  for (const auto& [begin, end] : stretches(nodes, [&](std::int32_t i) {
+         rows.get(i - 1, last), rows.get(i, row);
+         return are_same_rows(matrix, last, row);
+       })) {
+    rows.get(begin, row);
+    costs.shared += shared_cost(end - begin, row.size());
+  }
+  for (const auto& [begin, end] : stretches(nodes, [&](std::int32_t i) { return has_same_offsets(matrix, i - 1, i); }))
+    costs.half +=
+        half_cost(end - begin, static_cast<std::size_t>(matrix.row_begin[begin + 1] - matrix.row_begin[begin]));
+  return costs;
+}
+
 }  // namespace
 
+StiffnessKernel stiffness_kernel([[maybe_unused]] InstructionSet set) {
+#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+  if (set == InstructionSet::Avx512) return stiffness_kernel_avx512();
+  if (set == InstructionSet::Avx2) return stiffness_kernel_avx2();
+#endif
+  return stiffness_kernel_generic();
+}
+
 StiffnessProduct::StiffnessProduct(const StiffnessMatrix& matrix, InstructionSet instructions)
-    : nodes_(static_cast<std::int32_t>(matrix.node_count())), kernel_(kernel_of(instructions)) {
-  const WholeRows rows(matrix);
-  std::vector<Neighbour> row, last;
-  const auto shared = stretches(nodes_, [&](std::int32_t i) {
-    rows.get(i - 1, last), rows.get(i, row);
-    return are_same_rows(matrix, last, row);
-  });
-  double whole = 0, half = 0;
-  for (const auto& [begin, end] : shared) {
-    rows.get(begin, row);
-    whole += shared_cost(end - begin, row.size());
-  }
-  for (const auto& [begin, end] : stretches(nodes_, [&](std::int32_t i) { return has_same_offsets(matrix, i - 1, i); }))
-    half += half_cost(end - begin, static_cast<std::size_t>(matrix.row_begin[begin + 1] - matrix.row_begin[begin]));
-  arrange(matrix, whole <= half ? Format::SharedRows : Format::HalfRows);
+    : kernel_(stiffness_kernel(instructions)) {
+  const Costs costs = costs_of(matrix);
+  arrange(matrix, costs.shared <= costs.half ? Format::SharedRows : Format::HalfRows);
+}
+
+StiffnessProduct::StiffnessProduct(const StiffnessMatrix& matrix, const Grid& grid,
+                                   const std::vector<char>& is_included, InstructionSet instructions)
+    : kernel_(stiffness_kernel(instructions)) {
+  const Costs costs = costs_of(matrix);
+  if (ZoneProduct::has_kernel(grid.zone_kind) &&
+      ZoneProduct::cost(grid, is_included) < std::min(costs.shared, costs.half))
+    *this = of_zones(grid, is_included, instructions);
+  else
+    arrange(matrix, costs.shared <= costs.half ? Format::SharedRows : Format::HalfRows);
 }
 
 StiffnessProduct::StiffnessProduct(const StiffnessMatrix& matrix, Format format, InstructionSet instructions)
-    : nodes_(static_cast<std::int32_t>(matrix.node_count())), kernel_(kernel_of(instructions)) {
+    : kernel_(stiffness_kernel(instructions)) {
+  LOCKSTEP_ASSERT(format != Format::Zones, "a matrix has no zones");
   arrange(matrix, format);
+}
+
+StiffnessProduct StiffnessProduct::of_zones(const Grid& grid, const std::vector<char>& is_included,
+                                            InstructionSet instructions) {
+  StiffnessProduct product;
+  product.kernel_ = stiffness_kernel(instructions);
+  product.format_ = Format::Zones;
+  product.allocate(grid.node_count());
+  product.zones_ = ZoneProduct(grid, is_included, instructions);
+  return product;
+}
+
+void StiffnessProduct::allocate(std::size_t nodes) {
+  nodes_ = static_cast<std::int32_t>(nodes);
+  stride_ = nodes + nodes_at_once;
+  u_.assign(3 * stride_, 0.0);
+  zero_.assign(nodes, Vec3::Zero());
 }
 
 void StiffnessProduct::arrange(const StiffnessMatrix& matrix, Format format) {
   format_ = format;
-  stride_ = static_cast<std::size_t>(nodes_) + nodes_at_once;
-  u_.assign(3 * stride_, 0.0);
-  zero_.assign(static_cast<std::size_t>(nodes_), Vec3::Zero());
+  allocate(matrix.node_count());
   if (format == Format::SharedRows)
     arrange_shared(matrix);
   else
@@ -187,46 +219,43 @@ void StiffnessProduct::arrange_half(const StiffnessMatrix& matrix) {
     }
   }
   cut_chunks(reach, cost);
-  for (std::size_t c = 0; c < chunks_.size(); ++c) {
-    Chunk& chunk = chunks_[c];
-    std::int32_t highest = chunk.end;
+  std::vector<NodeRange> ranges;
+  for (Chunk& chunk : chunks_) {
+    NodeRange& range = chunk.nodes;
+    range.reach = range.end;
     for (std::int32_t r = chunk.run_begin; r < chunk.run_end; ++r) {
       const StiffnessRun& run = runs_[r];
       if (run.neighbours > 0)
-        highest = std::max(highest, run.first + run.nodes + offsets_[run.offset + run.neighbours - 1]);
+        range.reach = std::max(range.reach, run.first + run.nodes + offsets_[run.offset + run.neighbours - 1]);
     }
-    chunk.last = std::min(highest, nodes_);
-    chunk.stride = static_cast<std::size_t>(highest - chunk.begin) + 2 * nodes_at_once;
-    chunk.force.assign(3 * chunk.stride, 0.0);
+    range.reach = std::min(range.reach, nodes_);
+    ranges.push_back(range);
   }
-  for (std::size_t c = 0; c < chunks_.size(); ++c) {
-    std::size_t first = c;
-    while (first > 0 && chunks_[first - 1].last > chunks_[c].begin) --first;
-    chunks_[c].first_part = static_cast<std::int32_t>(first);
-  }
+  partial_ = PartialForces(ranges);
 }
 
 void StiffnessProduct::cut_chunks(std::int32_t reach, const std::vector<std::int64_t>& cost) {
   const std::int64_t all = std::accumulate(cost.begin(), cost.end(), std::int64_t{0});
-  const std::int32_t fewest = format_ == Format::HalfRows ? std::max(fewest_chunk_nodes, 2 * reach) : 1;
+  const std::int32_t fewest = format_ == Format::HalfRows ? std::max(fewest_range_nodes, 2 * reach) : 1;
   std::int64_t so_far = 0;
   for (std::size_t r = 0; r < runs_.size(); ++r) {
     const auto run = static_cast<std::int32_t>(r);
     const bool is_full = !chunks_.empty() &&
-                         so_far * chunks_wanted >= all * static_cast<std::int64_t>(chunks_.size()) &&
-                         runs_[r].first - chunks_.back().begin >= fewest;
+                         so_far * ranges_wanted >= all * static_cast<std::int64_t>(chunks_.size()) &&
+                         runs_[r].first - chunks_.back().nodes.begin >= fewest;
     if (chunks_.empty() || is_full) {
       Chunk chunk;
-      chunk.begin = runs_[r].first, chunk.run_begin = run;
-      chunks_.push_back(std::move(chunk));
+      chunk.nodes.begin = runs_[r].first, chunk.run_begin = run;
+      chunks_.push_back(chunk);
     }
     so_far += cost[r];
-    chunks_.back().end = r + 1 < runs_.size() ? runs_[r + 1].first : nodes_;
+    chunks_.back().nodes.end = r + 1 < runs_.size() ? runs_[r + 1].first : nodes_;
     chunks_.back().run_end = run + 1;
   }
 }
 
 std::size_t StiffnessProduct::bytes() const {
+  if (format_ == Format::Zones) return zones_.bytes();
   return blocks_.size() * sizeof(double) + offsets_.size() * sizeof(std::int32_t) + runs_.size() * sizeof(StiffnessRun);
 }
 
@@ -237,51 +266,32 @@ void StiffnessProduct::evaluate(const Vec3s& u, const Vec3s& reference, Vec3s& f
   const double* const base = reinterpret_cast<const double*>((reference.empty() ? zero_ : reference).data());
   double* const to = reinterpret_cast<double*>(f.data());
   const Components all{u_.data(), u_.data() + stride_, u_.data() + 2 * stride_};
-  const auto share = [&](int thread, const auto& visit) {
-    const std::size_t count = chunks_.size(), threads = static_cast<std::size_t>(team.size());
-    for (std::size_t c = count * thread / threads; c < count * (thread + 1) / threads; ++c) visit(chunks_[c], c);
-  };
   team.run([&](int thread) {
-    share(thread, [&](const Chunk& c, std::size_t) {
-      kernel_.split(from, c.begin, c.end, {all.x + c.begin, all.y + c.begin, all.z + c.begin});
-    });
+    const auto [begin, end] = share_of(nodes_, thread, team.size());
+    kernel_.split(from, begin, end, {all.x + begin, all.y + begin, all.z + begin});
   });
-  if (format_ == Format::SharedRows) {
+  if (format_ == Format::Zones) {
+    zones_.evaluate(all, base, to, team);
+    return;
+  }
+  const auto for_each_chunk = [&](const auto& visit) {
     team.run([&](int thread) {
-      share(thread, [&](const Chunk& c, std::size_t) {
-        kernel_.shared_rows(runs_.data() + c.run_begin, c.run_end - c.run_begin, offsets_.data(), blocks_.data(), all,
-                            base, to);
-      });
+      const auto [begin, end] = share_of(static_cast<std::int32_t>(chunks_.size()), thread, team.size());
+      for (std::int32_t c = begin; c < end; ++c) visit(chunks_[c], static_cast<std::size_t>(c));
+    });
+  };
+  if (format_ == Format::SharedRows) {
+    for_each_chunk([&](const Chunk& c, std::size_t) {
+      kernel_.shared_rows(runs_.data() + c.run_begin, c.run_end - c.run_begin, offsets_.data(), blocks_.data(), all,
+                          base, to);
     });
     return;
   }
-  team.run([&](int thread) {
-    share(thread, [&](Chunk& c, std::size_t) {
-      std::fill(c.force.begin(), c.force.end(), 0.0);
-      kernel_.half_rows(runs_.data() + c.run_begin, c.run_end - c.run_begin, offsets_.data(), blocks_.data(), all,
-                        c.components(), c.begin);
-    });
+  for_each_chunk([&](const Chunk& c, std::size_t index) {
+    kernel_.half_rows(runs_.data() + c.run_begin, c.run_end - c.run_begin, offsets_.data(), blocks_.data(), all,
+                      partial_.clear(index), c.nodes.begin);
   });
-  team.run([&](int thread) {
-    share(thread, [&](const Chunk& c, std::size_t index) {
-      Components part[chunks_wanted + 1];
-      std::int32_t begin[chunks_wanted + 1], parts = 0;
-      // Where an earlier chunk ends reaching into this one, the number of parts changes.
-      std::int32_t at = c.begin;
-      while (at < c.end) {
-        std::int32_t stop = c.end;
-        parts = 0;
-        for (std::size_t p = static_cast<std::size_t>(c.first_part); p <= index; ++p) {
-          if (chunks_[p].last <= at && p < index) continue;
-          if (p < index) stop = std::min(stop, chunks_[p].last);
-          part[parts] = chunks_[p].components();
-          begin[parts++] = chunks_[p].begin;
-        }
-        kernel_.join(base, part, begin, parts, at, stop, to);
-        at = stop;
-      }
-    });
-  });
+  for_each_chunk([&](const Chunk&, std::size_t index) { partial_.join(index, kernel_, base, to); });
 }
 
 }  // namespace lockstep::continuum

@@ -16,9 +16,6 @@ constexpr int tetrahedron_nodes[overlays][tetrahedra][4] = {
     {{0, 2, 7, 5}, {1, 2, 0, 5}, {3, 0, 2, 7}, {4, 7, 5, 0}, {6, 5, 7, 2}},
     {{1, 3, 4, 6}, {0, 1, 3, 4}, {2, 3, 1, 6}, {5, 4, 6, 1}, {7, 6, 4, 3}},
 };
-// Where the nodes stand in the cube -1 .. 1.
-constexpr double node_at[8][3] = {{-1, -1, -1}, {1, -1, -1}, {1, 1, -1}, {-1, 1, -1},
-                                  {-1, -1, 1},  {1, -1, 1},  {1, 1, 1},  {-1, 1, 1}};
 
 ZoneGeometry mixed_discretization(const ZoneVectors& corners) {
   ZoneGeometry g;
@@ -109,13 +106,9 @@ ZoneGeometry one_point(const ZoneVectors& corners) {
     square += p.gradient[a].squaredNorm();
   }
   for (int alpha = 0; alpha < ZoneGeometry::patterns; ++alpha) {
-    const auto pattern = [&](int a) {
-      const auto& x = node_at[a];
-      return alpha == 3 ? x[0] * x[1] * x[2] : x[alpha] * x[(alpha + 1) % 3];
-    };
     Vec3 along = Vec3::Zero();
-    for (int a = 0; a < 8; ++a) along += pattern(a) * corners[a];
-    for (int a = 0; a < 8; ++a) g.hourglass[alpha][a] = (pattern(a) - along.dot(p.gradient[a])) / 8;
+    for (int a = 0; a < 8; ++a) along += hourglass_pattern(alpha, a) * corners[a];
+    for (int a = 0; a < 8; ++a) g.hourglass[alpha][a] = (hourglass_pattern(alpha, a) - along.dot(p.gradient[a])) / 8;
   }
   g.hourglass_stiffness = hourglass_share * p.volume * square;
   return g;

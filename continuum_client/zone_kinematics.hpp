@@ -24,6 +24,7 @@
 
 #include "common/vectors.hpp"
 #include "continuum_client/elastic_law.hpp"
+#include "continuum_client/zone_topology.hpp"
 
 namespace lockstep::continuum {
 
@@ -32,10 +33,6 @@ enum class ZoneKind { MixedDiscretization, BBar, OnePoint };
 
 using ZoneVectors = std::array<Vec3, 8>;  // one per node, in the order of the drawing
 using ZoneMatrix = Eigen::Matrix<double, 24, 24>;
-
-// Faces by node numbers, seen from outside counter-clockwise.
-inline constexpr std::array<std::array<int, 4>, 6> zone_faces = {
-    {{0, 3, 2, 1}, {4, 5, 6, 7}, {0, 1, 5, 4}, {1, 2, 6, 5}, {2, 3, 7, 6}, {3, 0, 4, 7}}};
 
 struct StrainPoint {
   double volume = 0;               // [m3]

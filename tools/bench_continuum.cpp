@@ -31,7 +31,7 @@ struct Options {
   std::vector<std::string> meshes = {"paper", "distorted"};
   std::vector<std::string> kinds = {"mixed_discretization", "b_bar", "one_point"};
   std::vector<int> threads = {1, 2};
-  std::string instructions;
+  std::string instructions, format = "auto";
   int steps = 200, blocks = 5;
   bool beside_grains = false;
   std::vector<int> bar;  // zones along x, y, z
@@ -79,6 +79,8 @@ Grid mesh_by_name(const std::string& name) {
   if (name == "large_distorted") return distorted_block(70, 60, 48);
   throw InputError(fmt::format("--mesh {}: expected paper, distorted, large or large_distorted", name));
 }
+
+constexpr const char* format_names[] = {"shared rows", "half rows", "zones"};  // StiffnessProduct::Format
 
 // Median of some numbers.
 double median(std::vector<double> values) {
@@ -134,7 +136,8 @@ struct Ground {
   InternalForce force;
   double time_step = 0;  // [s]
 
-  Ground(Grid mesh, ZoneKind kind, Supports supports, InstructionSet instructions) : grid(std::move(mesh)) {
+  Ground(Grid mesh, ZoneKind kind, Supports supports, const std::string& format, InstructionSet instructions)
+      : grid(std::move(mesh)) {
     grid.zone_kind = kind;
     grid.materials = {soil};
     is_left = zones_outside_discrete_domain(grid);
@@ -144,10 +147,18 @@ struct Ground {
     mass = lumped_masses(grid, is_left);
     is_free = free_components(grid, supports, mass);
     begin = Clock::now();
-    force = InternalForce(stiffness, instructions);
+    force = InternalForce(product_of(format, instructions));
     arrange_seconds = seconds_since(begin);
     time_step = 0.9 * stable_step(frequency_squared_bound(stiffness, mass, is_free), 0);
   }
+  StiffnessProduct product_of(const std::string& format, InstructionSet instructions) const {
+    if (format == "auto") return StiffnessProduct(stiffness, grid, is_left, instructions);
+    if (format == "zones") return StiffnessProduct::of_zones(grid, is_left, instructions);
+    return StiffnessProduct(
+        stiffness, format == "shared" ? StiffnessProduct::Format::SharedRows : StiffnessProduct::Format::HalfRows,
+        instructions);
+  }
+
   std::size_t zones() const { return static_cast<std::size_t>(std::count(is_left.begin(), is_left.end(), 1)); }
 };
 
@@ -215,8 +226,8 @@ void measure(const std::string& mesh, const std::string& kind, Ground& ground, i
       "%s %.1f MB, %.2f x its streaming  assembly %.2f + %.2f s  hash %016llx\n",
       mesh.c_str(), kind.c_str(), zones, threads, median(force_seconds) * micro, best_force * micro,
       median(node_seconds) * micro, median(step_seconds) * micro, best_step * micro, 1e3 * median(step_seconds),
-      product.format() == StiffnessProduct::Format::SharedRows ? "shared rows" : "half rows",
-      static_cast<double>(product.bytes()) * 1e-6, best_force / stream, ground.assembly_seconds, ground.arrange_seconds,
+      format_names[static_cast<int>(product.format())], static_cast<double>(product.bytes()) * 1e-6,
+      best_force / stream, ground.assembly_seconds, ground.arrange_seconds,
       static_cast<unsigned long long>(hash.value()));
   std::fflush(stdout);
 }
@@ -250,7 +261,7 @@ void run_bar(const Options& o, InstructionSet instructions) {
   const double h = 0.2;
   Grid grid = block(h * o.bar[0], h * o.bar[1], h * o.bar[2], o.bar[0], o.bar[1], o.bar[2]);
   if (!o.export_path.empty()) export_bar(grid, o);
-  Ground ground(std::move(grid), kind_by_name(o.kinds.front()), Supports::BottomFixed, instructions);
+  Ground ground(std::move(grid), kind_by_name(o.kinds.front()), Supports::BottomFixed, o.format, instructions);
   for (Vec3& f : ground.is_free) f.x() = f.y() = 0;
   Integrator integrator(ground.mass, ground.is_free, {}, instructions);
   const std::size_t nodes = ground.mass.size();
@@ -289,6 +300,9 @@ int main(int argc, char** argv) {
       ->capture_default_str()
       ->check(CLI::Range(1, 1000));
   app.add_option("--instructions", o.instructions, "generic, avx2 or avx512; the best by default");
+  app.add_option("--format", o.format, "of the stiffness: auto, shared, half or zones")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"auto", "shared", "half", "zones"}));
   app.add_flag("--beside-grains", o.beside_grains, "while another thread walks 24 MB, as grains on the next core do");
   app.add_option("--bar", o.bar, "NX,NY,NZ: a column of cubes instead, for other programs to follow")
       ->delimiter(',')
@@ -313,7 +327,7 @@ int main(int argc, char** argv) {
     }
     for (const std::string& mesh : o.meshes)
       for (const std::string& kind : o.kinds) {
-        Ground ground(mesh_by_name(mesh), kind_by_name(kind), Supports::AllFixed, set);
+        Ground ground(mesh_by_name(mesh), kind_by_name(kind), Supports::AllFixed, o.format, set);
         for (const int threads : o.threads) measure(mesh, kind, ground, threads, o, set);
       }
   } catch (const Error& e) {

@@ -97,7 +97,8 @@ TEST_CASE("the hand-off of a prescribed stress leaves round-off, on distorted zo
       const std::vector<double> all = lumped_masses(grid);
       InitialState state;
       state.stress = stress_by_depth(grid, {}, 0.5, 9.81);
-      reach_equilibrium(assemble_stiffness(grid), all, free_components(grid, Supports::Rollers, all), Vec3(0, 0, -9.81), {0.7, 1e-8, 1000, 0.9}, state.displacement, {}, prescribed_force(grid, state));
+      reach_equilibrium(assemble_stiffness(grid), all, free_components(grid, Supports::Rollers, all), Vec3(0, 0, -9.81),
+                        {0.7, 1e-8, 1000, 0.9}, state.displacement, {}, prescribed_force(grid, state));
       const std::vector<char> is_left = zones_outside_discrete_domain(grid);
       const InterfaceSurface surface = interface_surface(grid);
       const Vec3s reaction = discrete_domain_reaction(grid, surface, 9.81, state);
