@@ -65,6 +65,9 @@ class CoupledGround {
   // The step from n+1 on; n := n+1.
   void guard_step();
 
+  // Stress of a zone now, by either route; `initial` is the state that displacements start from [Pa].
+  Mat3 zone_stress(const InitialState& initial, std::size_t z) const;
+
   // ------------------------------------------------------------------ what they work on
   Grid grid;
   InternalForce internal_force;
@@ -97,9 +100,6 @@ class CoupledGround {
   StepSums sums;                  // of the last step
   protocol::Velocities outgoing;  // velocity: v(n-1/2) of the interface; its memory is reused
   protocol::Forces incoming;      // F(n)
-  // Stress of a zone now; `initial` is the state that displacements start from [Pa].
-  Mat3 zone_stress(const InitialState& initial, std::size_t z) const;
-
   Team* team = &Team::alone();
   Profile<Phase> profile;
 };

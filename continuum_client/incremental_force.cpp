@@ -107,8 +107,8 @@ ZoneVectors IncrementalForce::force_of(const ZoneState& state, const ZoneGeometr
 
 void IncrementalForce::gather_forces(Vec3s& force, Team& team) const {
   team.run([&](int t) {
-    const std::size_t count = force.size(), threads = static_cast<std::size_t>(team.size());
-    for (std::size_t i = count * t / threads; i < count * (t + 1) / threads; ++i) {
+    const auto [begin, end] = share_of(force.size(), t, team.size());
+    for (std::size_t i = begin; i < end; ++i) {
       Vec3 sum = Vec3::Zero();
       for (std::size_t c = corner_begin_[i]; c < corner_begin_[i + 1]; ++c)
         sum += zone_force_[corner_[c].zone][corner_[c].corner];
@@ -123,10 +123,10 @@ void IncrementalForce::advance(const Vec3s& displacement, const Vec3s& velocity,
   for (std::size_t i = 0; i < velocity.size(); ++i) increment[i] = velocity[i] * time_step;
   std::vector<std::int32_t> inverted(static_cast<std::size_t>(team.size()), -1);
   team.run([&](int t) {
-    const std::size_t count = zone_.size(), threads = static_cast<std::size_t>(team.size());
+    const auto [begin, end] = share_of(zone_.size(), t, team.size());
     ZoneGeometry geometry;
     std::int32_t geometry_of = -1;
-    for (std::size_t k = count * t / threads; k < count * (t + 1) / threads; ++k) {
+    for (std::size_t k = begin; k < end; ++k) {
       const auto z = static_cast<std::size_t>(zone_[k]);
       const ZoneVectors du = gather(increment, grid_.zone[z]);
       if (has_large_strain_) {
@@ -157,15 +157,6 @@ void IncrementalForce::advance(const Vec3s& displacement, const Vec3s& velocity,
   for (std::size_t i = 0; i < force.size(); ++i) work += 0.5 * (last_force_[i] + force[i]).dot(increment[i]);
   work_ += work;
   last_force_ = force;
-}
-
-void IncrementalForce::evaluate(const Vec3s& displacement, Vec3s& force) {
-  for (std::size_t k = 0; k < zone_.size(); ++k)
-    zone_force_[k] = force_of(
-        state_[k], has_large_strain_
-                       ? shape(k, displacement, nullptr, 0)
-                       : grid_.geometry(static_cast<std::size_t>(representative_[static_cast<std::size_t>(zone_[k])])));
-  gather_forces(force, Team::alone());
 }
 
 Mat3 IncrementalForce::zone_stress(std::size_t z) const {

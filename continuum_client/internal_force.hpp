@@ -1,10 +1,7 @@
 // Internal nodal forces of the elastic ground, f_int = f0 + K u, with K assembled once.
 //
-// Zones are linear and small strain, so what they exert on nodes is a fixed linear map. Assembled into 3 x 3 blocks,
-// upper half only, it needs a third of the arithmetic of the zones' kernels, no gather or scatter of zones, and the
-// same time for any kind of zone; 20,000 zones take 25 MB, which fits a shared cache. Rejected: the kernels themselves
-// (1.2 to 2 times slower with hand-made SIMD, ten times without), stored 24 x 24 zone matrices (4.7 kB a zone), single
-// precision (weights of nodes off by 1e-4).
+// Zones are linear and small strain, so what they exert on nodes is a fixed linear map, assembled into 3 x 3 blocks, upper
+// half only. How it is multiplied, and what was rejected: stiffness_product.hpp.
 //
 // f0 is the internal force of the reference state: after InitialStress the displacements u0 that gravity caused are
 // taken into f0 = K u0 and u starts again from zero. Deleting zones assembles K and f0 again from the ones that are

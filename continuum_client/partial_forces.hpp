@@ -31,7 +31,6 @@ class PartialForces {
   // Ranges one after the other.
   explicit PartialForces(const std::vector<NodeRange>& ranges);
 
-  std::size_t count() const { return ranges_.size(); }
   const NodeRange& range(std::size_t r) const { return ranges_[r]; }
   // The memory of range r, emptied: node i at index i - begin. Sixteen entries past its reach may be written.
   Components clear(std::size_t r);

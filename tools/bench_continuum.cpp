@@ -153,6 +153,8 @@ struct Ground {
   }
   StiffnessProduct product_of(const std::string& format, InstructionSet instructions) const {
     if (format == "auto") return StiffnessProduct(stiffness, grid, is_left, instructions);
+    if (format == "zones" && grid.zone_kind != ZoneKind::OnePoint)
+      throw InputError("--format zones: only one_point zones go without a matrix; add --kinds one_point");
     if (format == "zones") return StiffnessProduct::of_zones(grid, is_left, instructions);
     return StiffnessProduct(
         stiffness, format == "shared" ? StiffnessProduct::Format::SharedRows : StiffnessProduct::Format::HalfRows,
