@@ -29,7 +29,7 @@ struct IoError : Error {
 };
 // The peer is dead, silent, of another version, or speaks out of turn.
 struct PeerError : Error {
-  explicit PeerError(const std::string& text) : Error(ExitCode::Peer, text) {}
+  explicit PeerError(const std::string& text, ExitCode code = ExitCode::Peer) : Error(code, text) {}
 };
 // The computation left what is stable or finite, or did not converge.
 struct NumericalError : Error {

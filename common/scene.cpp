@@ -449,6 +449,30 @@ void check_pile(const SceneFile& file) {
                     number(final_depth), depth_key, depth));
 }
 
+// Averaged forces come half an interval late on the mean, which pumps energy into what nothing damps.
+constexpr double exchange_damping = 0.3;
+
+void check_exchange(const SceneFile& file) {
+  const scene::Scene& s = file.scene;
+  const std::uint32_t interval = s.fidelity().exchange_interval();
+  if (interval < 2) return;
+  const std::string where = fmt::format("{} = {}", file.where("fidelity.exchange_interval"), interval);
+  if (s.continuum().dynamic())
+    throw InputError(
+        fmt::format("{}: forces averaged over several steps change waves, but continuum.dynamic is true; "
+                    "leave one of them out",
+                    where));
+  const auto damps = [&](const char* key, double damping) {
+    if (damping < exchange_damping)
+      throw InputError(fmt::format(
+          "{}: forces that are the mean of several steps come late and take damping away; {} = {} would let "
+          "oscillations grow: give {} or more, or exchange at each step",
+          where, file.where(key), damping, exchange_damping));
+  };
+  damps("run.damping", s.run().damping()), damps("run.continuum_damping", s.run().continuum_damping());
+  if (s.apply().max_steps() > 0) damps("apply.damping", s.apply().damping());
+}
+
 void check_consistency(const SceneFile& file) {
   const scene::Scene& s = file.scene;
   if (!s.has_continuum() && !s.has_grains())
@@ -460,6 +484,7 @@ void check_consistency(const SceneFile& file) {
   if (s.continuum().has_cylinder_in_brick()) check_cylinder(file);
   if (s.has_grains()) check_grains(file);
   if (s.has_pile()) check_pile(file);
+  check_exchange(file);
   for (int i = 0; i < s.plane_size(); ++i) {
     const scene::Point& normal = s.plane(i).normal();
     if (normal.x() == 0 && normal.y() == 0 && normal.z() == 0)

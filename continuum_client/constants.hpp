@@ -56,6 +56,11 @@ inline constexpr double layer_tolerance = 1e-6;
 // Positions that agree to this share of the model's size lie in one support plane.
 inline constexpr double plane_tolerance = 1e-9;
 
+// Steps between copies of the state that a run which fails goes back to, and how far before the failure it must be: the alarms
+// come within a hundred steps.
+inline constexpr std::uint64_t good_state_interval = 500;
+inline constexpr std::uint64_t good_state_age = 100;
+
 // Between lines of progress, and between looks at the clock in InitialStress.
 inline constexpr double progress_seconds = 0.5;  // [s]
 

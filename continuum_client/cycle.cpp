@@ -9,6 +9,7 @@ void cycle(CoupledGround& ground, protocol::Session& peer) {
   ground.compute_internal_forces();  // f0 + K u(n), while the grains find their contacts
   ground.load_surface();             // tractions of the scene, if any
   ground.receive_forces(peer);       // F(n) on the interface's nodes: paper step 6, eq. 13
+  ground.book_exchange();            // action, reaction, works and energies of both sides
   ground.fade_baseline();            // what is left of the deleted zones, during Apply
   ground.advance();                  // v(n+1/2), u(n+1), x(n+1): paper step 7, eqs 14 and 17
   ground.guard_step();               // the step that n+1 will take

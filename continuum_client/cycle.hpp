@@ -4,8 +4,11 @@
 #pragma once
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
+#include "common/coupled_ledger.hpp"
+#include "common/coupled_limit.hpp"
 #include "common/parallel.hpp"
 #include "common/profile.hpp"
 #include "continuum_client/boundary_conditions.hpp"
@@ -18,9 +21,9 @@
 
 namespace lockstep::continuum {
 
-enum class Phase { SendVelocities, InternalForces, ReceiveForces, Advance, Output, Count };
-inline constexpr const char* phase_names[] = {"send_velocities", "internal_forces", "wait_for_forces", "advance",
-                                              "output"};
+enum class Phase { SendVelocities, InternalForces, ReceiveForces, Ledger, Advance, Output, Count };
+inline constexpr const char* phase_names[] = {"send_velocities", "internal_forces", "wait_for_forces",
+                                              "ledger",          "advance",         "output"};
 
 // What is left of the deleted zones' reaction: share * offset, offset = f_A - f_D(0).
 struct Baseline {
@@ -31,20 +34,14 @@ struct Baseline {
 
 // Keeps the step below every limit known; it never grows again. The grains' limits come with their forces.
 struct StepGuard {
-  double zone_frequency_squared = 0;   // omega_c^2 with its margin [1/s2]
-  std::vector<double> node_stiffness;  // sum(k w) per interface node [N/m]
-  double grains_limit = 0;             // with their damping; 0: they have none [s]
-  double damping = 0;                  // the largest that the coupled stages use [-]
-  double stiffness_damping = 0;        // Rayleigh's b [s]
-  double fraction = 0;                 // fidelity.step_fraction [-]
-
-  double zones_limit = 0;      // of the zones alone [s]
-  double interface_limit = 0;  // of the zones with the contacts on them [s]
+  CoupledLimit limits;
+  double fraction = 0;     // fidelity.step_fraction [-]
+  bool is_strict = false;  // a smaller step ends the run
   int cuts = 0;
+  double told_limit = 0;   // of the grains, the last that came [s]
   double logged_step = 0;  // at the last line about a cut [s]
 
-  double limit() const;            // min of the two sides [s]
-  const char* limited_by() const;  // which of them it is
+  double wanted() const { return fraction * limits.limit(); }  // [s]
 };
 
 class CoupledGround {
@@ -58,6 +55,8 @@ class CoupledGround {
   void load_surface();
   // Paper step 6: F(n) of the contacts, and the grains' limits.
   void receive_forces(protocol::Session& peer);
+  // What the contacts did to both sides, and their energies. NumericalError where those are not what works explain.
+  void book_exchange();
   // What is left of the deleted zones.
   void fade_baseline();
   // Paper step 7: v(n+1/2), u(n+1) and x(n+1). NumericalError naming the node if a velocity runs away.
@@ -88,6 +87,8 @@ class CoupledGround {
   InterfaceSurface interface;
   Baseline baseline;
   StepGuard guard;
+  std::optional<CoupledLedger> coupled;  // unless the scene does without
+  Vec3s contact_offset;                  // per interface node: where contacts see it, less its position [m]
 
   std::uint64_t step = 0;     // n
   double time = 0;            // t_n since the first coupled step [s]

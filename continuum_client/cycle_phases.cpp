@@ -12,13 +12,6 @@
 
 namespace lockstep::continuum {
 
-double StepGuard::limit() const { return std::min(interface_limit, grains_limit > 0 ? grains_limit : interface_limit); }
-
-const char* StepGuard::limited_by() const {
-  if (limit() < interface_limit) return "grains";
-  return interface_limit < zones_limit ? "zones with contacts" : "zones";
-}
-
 void CoupledGround::send_velocities(protocol::Session& peer) {
   const auto scope = profile.measure(Phase::SendVelocities);
   const Ledger& ledger = integrator.ledger();
@@ -67,6 +60,19 @@ void CoupledGround::receive_forces(protocol::Session& peer) {
   peer.receive(incoming);
 }
 
+void CoupledGround::book_exchange() {
+  if (!coupled) return;
+  const auto scope = profile.measure(Phase::Ledger);
+  InterfaceSums contacts;
+  for (const Vec3& f : incoming.force) contacts.nodes_force += f;
+  contacts.nodes_moment = moment_of(interface.position, incoming.force) + moment_of(contact_offset, incoming.force);
+  contacts.particles_force = incoming.particle_force, contacts.particles_moment = incoming.particle_moment;
+  coupled->book_interface(step, time, step_sizes.velocity_step(), contacts);
+  if (!incoming.energies) return;
+  coupled->book_energies(*incoming.energies, outgoing.energies);
+  if (const std::string words = coupled->alarm(); !words.empty()) throw NumericalError(words);
+}
+
 void CoupledGround::fade_baseline() {
   for (std::size_t i = 0; i < baseline.force.size(); ++i) baseline.force[i] = baseline.share * baseline.offset[i];
 }
@@ -84,8 +90,8 @@ void CoupledGround::advance() {
         fmt::format("step {}: node {} of the ground at ({:.4g}, {:.4g}, {:.4g}) m runs away (its velocity is not "
                     "finite or above the P-wave speed, "
                     "{:.4g} m/s); the time step is {:.4g} s, limited by the {}: lower fidelity.step_fraction ({:.3g})",
-                    step, sums.runaway_node, x.x(), x.y(), x.z(), velocity_limit, step_sizes.out_of, guard.limited_by(),
-                    guard.fraction));
+                    step, sums.runaway_node, x.x(), x.y(), x.z(), velocity_limit, step_sizes.out_of,
+                    guard.limits.limited_by(), guard.fraction));
   }
   gather_interface(interface, motion.velocity, outgoing.velocity);
   interface.advance(outgoing.velocity, step_sizes.out_of);
@@ -98,26 +104,28 @@ Mat3 CoupledGround::zone_stress(const InitialState& initial, std::size_t z) cons
 }
 
 void CoupledGround::guard_step() {
-  if (!incoming.node_stiffness.empty()) {
-    guard.node_stiffness = incoming.node_stiffness;
-    const double contacts =
-        contact_frequency_squared(interface.node, guard.node_stiffness, integrator.mass(), integrator.is_free());
-    guard.interface_limit =
-        stable_step(guard.zone_frequency_squared + contacts, guard.damping, guard.stiffness_damping);
+  if (!incoming.node_stiffness.empty()) guard.limits.set_contacts(incoming.node_stiffness);
+  if (incoming.stable_step != guard.told_limit) {
+    guard.told_limit = incoming.stable_step;
+    guard.limits.set_grains(incoming.stable_step, incoming.limited_by);
   }
-  guard.grains_limit = incoming.stable_step;
   time += step_sizes.out_of;
   ++step;
   step_sizes.into = step_sizes.out_of;
-  const double wanted = guard.fraction * guard.limit();
+  const double wanted = guard.wanted();
   if (wanted >= step_sizes.out_of) return;
+  const std::string why = fmt::format("limited by {} (zones {:.4g} s, with contacts {:.4g} s, grains {:.4g} s)",
+                                      guard.limits.culprit(interface.position), guard.limits.zones_limit(),
+                                      guard.limits.interface_limit(), guard.limits.grains_limit());
+  if (guard.is_strict)
+    throw NumericalError(fmt::format(
+        "step {}: {:.4g} s, {:.3g} of the stable step, is all that is left of the {:.4g} s in use, and "
+        "coupling.when_limit_drops is STOP: {}; or lower fidelity.step_fraction, which leaves room for new contacts",
+        step, wanted, guard.fraction, step_sizes.out_of, why));
   ++guard.cuts;
   step_sizes.out_of = wanted;
   if (wanted < (1 - logged_step_drop) * guard.logged_step) {
-    spdlog::info(
-        "step {}: time step cut to {:.4g} s, limited by the {} (zones {:.4g} s, with contacts {:.4g} s, grains {:.4g} "
-        "s)",
-        step, wanted, guard.limited_by(), guard.zones_limit, guard.interface_limit, guard.grains_limit);
+    spdlog::info("step {}: time step cut to {:.4g} s, {}", step, wanted, why);
     guard.logged_step = wanted;
   }
 }

@@ -21,6 +21,11 @@ ResultFiles::ResultFiles(const std::filesystem::path& folder, bool writes_zones)
 
 void ResultFiles::add_history(const CoupledGround& g) {
   if (!is_active()) return;
+  if (g.coupled) {
+    if (!coupled_history_)
+      coupled_history_ = std::make_unique<History>(folder_ / "continuum_interface.csv", CoupledLedger::columns());
+    coupled_history_->add(g.coupled->row());
+  }
   const Ledger& l = g.integrator.ledger();
   double force = 0, baseline = 0, largest = 0;
   for (const Vec3& f : g.incoming.force) force += f.z();
@@ -136,6 +141,7 @@ void ResultFiles::write_summary(const RunReport& r, const std::string& title) {
                          .add("damped_J", l.work.damped)
                          .add("residual_J", l.residual())
                          .add("residual_fraction", r.ledger_residual_fraction));
+  if (r.coupled) json.add("coupled", r.coupled->summary());
   json.add("interface_settlement_m", r.settlement)
       .add("largest_displacement_m", r.largest_displacement)
       .add("largest_displacement_over_facet", r.largest_strain_measure);

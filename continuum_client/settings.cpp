@@ -193,6 +193,10 @@ Settings read_settings(const SceneFile& file) {
   r.scales_density = s.fidelity().density_scaling() && !s.has_grains();
   if (s.fidelity().density_scaling()) check_density_scaling(c, r, file);
   r.step_fraction = s.fidelity().step_fraction();
+  r.is_step_strict = s.coupling().when_limit_drops() == scene::Coupling::STOP;
+  r.keeps_ledger = s.coupling().ledger();
+  r.stop_if_energy_error = s.coupling().stop_if_energy_error();
+  r.exchange_interval = s.fidelity().exchange_interval();
 
   r.has_grains = s.has_grains();
   r.has_pile = s.has_pile();

@@ -65,16 +65,20 @@ struct Settings {
 
   EquilibriumSettings equilibrium;
 
-  bool holds_baseline = false;        // Apply: the offset stays for ever
-  double ramp_transits = 0;           // [P-wave transits of the depth]
-  double apply_damping = 0;           // [-]
-  double apply_tolerance = 0;         // [-]
-  std::uint32_t apply_max_steps = 0;  // 0: no Apply stage
-  double run_damping = 0;             // [-]
-  double duration = 0;                // of scenes without a pile [s]
-  double run_tolerance = 0;           // of the ground alone, unbalanced ratio [-]
-  bool scales_density = false;        // of the ground alone
-  double step_fraction = 0;           // [-]
+  bool holds_baseline = false;          // Apply: the offset stays for ever
+  double ramp_transits = 0;             // [P-wave transits of the depth]
+  double apply_damping = 0;             // [-]
+  double apply_tolerance = 0;           // [-]
+  std::uint32_t apply_max_steps = 0;    // 0: no Apply stage
+  double run_damping = 0;               // [-]
+  double duration = 0;                  // of scenes without a pile [s]
+  double run_tolerance = 0;             // of the ground alone, unbalanced ratio [-]
+  bool scales_density = false;          // of the ground alone
+  double step_fraction = 0;             // [-]
+  bool is_step_strict = false;          // a limit that falls below the step ends the run
+  std::uint32_t exchange_interval = 1;  // steps of the grains to one of the ground
+  bool keeps_ledger = true;             // of both sides together
+  double stop_if_energy_error = 0;      // of the work done; 0: never [-]
 
   bool has_grains = false;
   bool has_pile = false;

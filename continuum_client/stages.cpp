@@ -64,11 +64,11 @@ class Stages {
         couple();
       } catch (const Error& e) {
         peer_->abort(static_cast<int>(e.code()), e.what());
-        keep_last_state(e.what());
+        keep_last_state(e.what(), e.code() == ExitCode::Numerical);
         throw;
       } catch (const std::exception& e) {
         peer_->abort(static_cast<int>(ExitCode::Internal), e.what());
-        keep_last_state(e.what());
+        keep_last_state(e.what(), false);
         throw;
       }
     } else {
@@ -100,15 +100,10 @@ class Stages {
     is_left_.assign(ground_.grid.zone_count(), 1);
     take_reference_state();
     StepGuard& guard = ground_.guard;
-    guard.fraction = settings_.step_fraction, guard.damping = settings_.run_damping;
-    guard.stiffness_damping = settings_.stiffness_damping;
-    guard.zone_frequency_squared =
-        frequency_squared_bound(stiffness_, ground_.integrator.mass(), ground_.integrator.is_free());
+    guard.fraction = settings_.step_fraction;
+    guard.limits = CoupledLimit(ground_stiffness(settings_.run_damping));
     stiffness_ = {};
-    guard.zones_limit = guard.interface_limit = guard.grains_limit =
-        stable_step(guard.zone_frequency_squared, guard.damping, guard.stiffness_damping);
-    start_clock(guard.fraction * guard.limit());
-    ground_.incoming.stable_step = guard.limit();
+    start_clock(guard.wanted());
     ground_.damping = settings_.run_damping;
     ground_.incoming.force.assign(ground_.interface.node_count(), Vec3::Zero());
     ground_.baseline.force = ground_.baseline.offset = ground_.incoming.force;
@@ -216,17 +211,15 @@ class Stages {
     take_reference_state();
     report_.excavation_residual = largest_unbalanced();
 
-    StepGuard& guard = ground_.guard;
-    guard.fraction = settings_.step_fraction, guard.damping = settings_.largest_damping();
-    guard.stiffness_damping = settings_.stiffness_damping;
-    guard.zone_frequency_squared = frequency_squared_bound(stiffness_, mass_, ground_.integrator.is_free());
-    stiffness_ = {};
-    guard.zones_limit = stable_step(guard.zone_frequency_squared, guard.damping, guard.stiffness_damping);
-
     protocol::ContinuumExcavated mine;
+    mine.stiffness = ground_stiffness(settings_.largest_damping());
+    stiffness_ = {};
+    StepGuard& guard = ground_.guard;
+    guard.fraction = settings_.step_fraction, guard.is_strict = settings_.is_step_strict;
+    guard.limits = CoupledLimit(mine.stiffness, settings_.exchange_interval);
     mine.zones_deleted = report_.zones_deleted;
     mine.residual_ratio = report_.excavation_residual;
-    mine.stable_step = guard.zones_limit;
+    mine.stable_step = std::isfinite(guard.limits.zones_limit()) ? guard.limits.zones_limit() : 0.0;
     mine.position_hash = ground_.interface.position_hash();
     peer_->send(protocol::Message(mine));
     const auto theirs = peer_->receive<protocol::GrainsExcavated>();
@@ -236,25 +229,21 @@ class Stages {
                       "{:016x}, theirs "
                       "{:016x}): both sides must keep the doubles of InitialStress.nodes",
                       mine.position_hash, theirs.position_hash));
-    guard.node_stiffness = theirs.node_stiffness;
-    guard.node_stiffness.resize(ground_.interface.node_count(), 0.0);
-    guard.grains_limit = theirs.stable_step;
-    const double contacts = contact_frequency_squared(ground_.interface.node, guard.node_stiffness,
-                                                      ground_.integrator.mass(), ground_.integrator.is_free());
-    guard.interface_limit =
-        stable_step(guard.zone_frequency_squared + contacts, guard.damping, guard.stiffness_damping);
-    if (!std::isfinite(guard.limit()))
+    guard.limits.set_contacts(theirs.node_stiffness);
+    guard.limits.set_grains(guard.told_limit = theirs.stable_step, theirs.limited_by);
+    ground_.contact_offset = theirs.offset;
+    if (!std::isfinite(guard.limits.limit()))
       throw InputError(
           "neither the zones nor the grains limit the time step: everything is held; free some nodes or add grains");
-    start_clock(guard.fraction * guard.limit());
+    start_clock(guard.wanted());
     start_baseline(theirs.nodal_force);
     end_stage(
         fmt::format("{} zones deleted, {} left, residual {:.1e} of the baseline; time step {:.4g} s = {:.2f} of the "
                     "limit of the {} "
                     "(zones {:.4g} s, with contacts {:.4g} s, grains {:.4g} s); f_D(0) differs from f_A by {:.2f} %",
                     report_.zones_deleted, report_.zones - report_.zones_deleted, report_.excavation_residual,
-                    report_.first_time_step, guard.fraction, guard.limited_by(), guard.zones_limit,
-                    guard.interface_limit, guard.grains_limit, 100 * report_.jump.force_difference));
+                    report_.first_time_step, guard.fraction, guard.limits.limited_by(), guard.limits.zones_limit(),
+                    guard.limits.interface_limit(), guard.limits.grains_limit(), 100 * report_.jump.force_difference));
   }
 
   // Paper step 4: the contacts act at once at full stiffness; what they lack of the deleted zones' reaction fades out.
@@ -410,12 +399,24 @@ class Stages {
     return scale > 0 ? worst / scale : 0.0;
   }
 
+  // Of the operator as it stands.
+  GroundStiffness ground_stiffness(double damping) const {
+    const Integrator& integrator = ground_.integrator;
+    GroundStiffness ground;
+    ground.frequency_squared = frequency_squared_bound(stiffness_, integrator.mass(), integrator.is_free());
+    for (const std::int32_t i : ground_.interface.node)
+      ground.node_mass.push_back(integrator.is_free()[i].maxCoeff() > 0 ? integrator.mass()[i] : 0.0);
+    ground.damping = damping, ground.stiffness_damping = settings_.stiffness_damping;
+    return ground;
+  }
+
   void start_clock(double time_step) {
     ground_.step = 0, ground_.time = 0;
     ground_.step_sizes = {time_step, time_step};
     ground_.guard.logged_step = time_step;
     ground_.sums = {};
     ground_.integrator.clear_ledger();
+    if (peer_ && settings_.keeps_ledger) ground_.coupled.emplace(settings_.stop_if_energy_error);
     report_.first_time_step = time_step;
   }
 
@@ -480,6 +481,7 @@ class Stages {
   void after_step(const char* stage, double fraction) {
     const auto scope = ground_.profile.measure(Phase::Output);
     if (ground_.step % settings_.history_interval == 0) files_.add_history(ground_);
+    if (peer_ && ground_.step % good_state_interval == 0) keep_good_state();
     progress(stage, fraction);
   }
 
@@ -497,10 +499,31 @@ class Stages {
                                peer_ && all > 0 ? peer_->seconds_waiting() / all : 0.0));
   }
 
+  void keep_good_state() {
+    if (good_states_.size() == 2) good_states_.erase(good_states_.begin());
+    const CoupledGround& g = ground_;
+    good_states_.push_back({g.step, g.time, g.motion, g.interface.position, nullptr});
+    if (g.incremental) good_states_.back().incremental = std::make_unique<IncrementalForce>(*g.incremental);
+  }
+
+  // The newest state that the failure had not reached yet, if there is one.
+  void return_to_good_state() {
+    CoupledGround& g = ground_;
+    const std::uint64_t failed_at = g.step;
+    while (!good_states_.empty() && good_states_.back().step + good_state_age > failed_at) good_states_.pop_back();
+    if (good_states_.empty()) return;
+    GoodState& good = good_states_.back();
+    g.step = good.step, g.time = good.time;
+    g.motion = good.motion, g.interface.position = good.position;
+    if (good.incremental) g.incremental = std::move(good.incremental);
+    spdlog::error("failed at step {}; the last files show step {}, the last one known to be sound", failed_at, g.step);
+  }
+
   // The summary of a run that failed after it had begun to step.
-  void keep_last_state(const std::string& why) noexcept {
+  void keep_last_state(const std::string& why, bool is_unstable) noexcept {
     try {
       if (ground_.step == 0) return;
+      if (is_unstable) return_to_good_state();
       report_.finish_text = why;
       conclude();
       files_.write_summary(report_, settings_.title);
@@ -538,7 +561,8 @@ class Stages {
     report_.steps = ground_.step;
     report_.time = ground_.time;
     report_.last_time_step = ground_.step_sizes.out_of;
-    report_.step_limited_by = ground_.guard.limited_by();
+    report_.step_limited_by = ground_.guard.limits.limited_by();
+    report_.coupled = ground_.coupled;
     report_.step_cuts = ground_.guard.cuts;
     report_.ledger = ground_.integrator.ledger();
     const Ledger& l = report_.ledger;
@@ -578,6 +602,15 @@ class Stages {
   Vec3s reaction_;             // f_A per interface node [N]
   Vec3s traction_;             // per facet [Pa]
   std::vector<char> is_left_;  // per zone
+  // What a coupled run that fails goes back to, newest last.
+  struct GoodState {
+    std::uint64_t step = 0;
+    double time = 0;  // [s]
+    Motion motion;
+    Vec3s position;  // of the interface [m]
+    std::unique_ptr<IncrementalForce> incremental;
+  };
+  std::vector<GoodState> good_states_;
   Clock::time_point begin_ = Clock::now(), stage_begin_, last_progress_;
 };
 

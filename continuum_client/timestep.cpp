@@ -106,18 +106,4 @@ double frequency_squared_bound(const StiffnessMatrix& stiffness, const std::vect
                   gershgorin_frequency_squared(stiffness, mass, is_free));
 }
 
-double contact_frequency_squared(std::span<const std::int32_t> node, std::span<const double> node_stiffness,
-                                 const std::vector<double>& mass, const Vec3s& is_free) {
-  double largest = 0;
-  for (std::size_t i = 0; i < node.size(); ++i)
-    if (is_free[node[i]].maxCoeff() > 0) largest = std::max(largest, 2 * node_stiffness[i] / mass[node[i]]);
-  return largest;
-}
-
-double stable_step(double frequency_squared, double damping, double stiffness_damping) {
-  if (!(frequency_squared > 0)) return std::numeric_limits<double>::infinity();
-  const double omega = std::sqrt(frequency_squared), xi = 0.5 * stiffness_damping * omega;
-  return 2 / omega * (std::sqrt(1 + xi * xi) - xi) / std::sqrt(1 + damping);
-}
-
 }  // namespace lockstep::continuum

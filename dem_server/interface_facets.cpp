@@ -258,6 +258,13 @@ void InterfaceFacets::advance(std::span<const Vec3> velocity, double dt) {
   place_nodes();
 }
 
+void InterfaceFacets::advance_part(std::span<const Vec3> velocity, double dt, std::uint32_t part, std::uint32_t parts) {
+  if (part == 1) base_ = position_;
+  const double share = part == parts ? dt : dt * part / parts;
+  position_ = base_;
+  advance(velocity, share);  // counts more travel than there is, which is safe
+}
+
 void InterfaceFacets::set_velocity(std::span<const Vec3> velocity) {
   LOCKSTEP_ASSERT(velocity.size() == position_.size(), "{} velocities for {} nodes", velocity.size(), position_.size());
   velocity_.assign(velocity.begin(), velocity.end());
@@ -553,8 +560,30 @@ ContactHistory InterfaceFacets::inherited(const FacetContact& contact, const Vec
   return previous_[heir_of].history;
 }
 
+// I^-1 of four real nodes, and their mean.
+Mat3 InterfaceFacets::inverse_spread(const std::array<std::int32_t, 4>& nodes, Vec3& mean) const {
+  mean = Vec3::Zero();
+  for (const std::int32_t node : nodes) mean += 0.25 * contact_position_[node];
+  Mat3 spread = Mat3::Zero();
+  for (const std::int32_t node : nodes) {
+    const Vec3 r = contact_position_[node] - mean;
+    spread += r.squaredNorm() * Mat3::Identity() - r * r.transpose();
+  }
+  return spread.inverse();
+}
+
+// From where eq. (13) lets each share's force act to the contact point.
+void InterfaceFacets::find_levers(FacetContact& contact) const {
+  for (std::int32_t s = 0; s < contact.share_count; ++s) {
+    FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
+    share.lever = contact.point;
+    for (std::size_t j = 0; j < 4; ++j)
+      share.lever -= share.weights[j] * contact_position_[real_node_[facets_[share.facet].nodes[j]]];
+  }
+}
+
 // Eq. (13): each node of each facet of the contact takes its share of the force on the facet and of the stiffness.
-void InterfaceFacets::load_nodes(const FacetContact& contact) {
+void InterfaceFacets::load_nodes(const FacetContact& contact, bool transfers_moment) {
   for (std::int32_t s = 0; s < contact.share_count; ++s) {
     const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
     const Facet& facet = facets_[share.facet];
@@ -564,6 +593,13 @@ void InterfaceFacets::load_nodes(const FacetContact& contact) {
       nodal_force_[node] -= weight * contact.force;
       node_stiffness_[node] += weight * contact.normal_stiffness;
     }
+    if (transfers_moment) {
+      const std::array<std::int32_t, 4>& nodes = facets_[facet.below].nodes;
+      Vec3 mean;
+      const Mat3 inverse = inverse_spread(nodes, mean);
+      const Vec3 turn = inverse * share.lever.cross(share.share * contact.force);
+      for (const std::int32_t node : nodes) nodal_force_[node] -= turn.cross(contact_position_[node] - mean);
+    }
     facet_force_[facet.below] -= share.share * contact.force;
     facet_stiffness_[facet.below] += share.share * contact.normal_stiffness;
   }
@@ -572,6 +608,7 @@ void InterfaceFacets::load_nodes(const FacetContact& contact) {
 void FacetTotals::add(const FacetTotals& other) {
   contacts += other.contacts, tunnelled += other.tunnelled;
   particle_force += other.particle_force;
+  particle_moment += other.particle_moment;
   normal_force += other.normal_force;
   neglected_moment += other.neglected_moment;
   elastic_energy += other.elastic_energy;
@@ -582,7 +619,7 @@ void FacetTotals::add(const FacetTotals& other) {
 
 // The contact's force, on its body at once.
 FacetTotals InterfaceFacets::load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt,
-                                  double radius, FacetContact& contact) const {
+                                  double radius, bool transfers_moment, FacetContact& contact) const {
   Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
   for (std::int32_t s = 0; s < contact.share_count; ++s) {
     const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
@@ -590,6 +627,13 @@ FacetTotals InterfaceFacets::load(Particles& particles, const ContactMaterial& l
       const std::int32_t node = real_node_[facets_[share.facet].nodes[j]];
       facet_velocity += share.share * share.weights[j] * (velocity_[node] + offset_velocity_[node]);
     }
+    if (!transfers_moment) continue;
+    const std::array<std::int32_t, 4>& nodes = facets_[facets_[share.facet].below].nodes;
+    Vec3 mean, turning = Vec3::Zero();
+    const Mat3 inverse = inverse_spread(nodes, mean);
+    for (const std::int32_t node : nodes)
+      turning += (contact_position_[node] - mean).cross(velocity_[node] + offset_velocity_[node]);
+    facet_velocity += share.share * (inverse * turning).cross(share.lever);
   }
   const Vec3 approach = facet_velocity - particles.velocity_at(contact.body, contact.point);  // eq. 4
   const ContactResult result = contact_force(law, normal, contact.overlap, approach, dt, contact.history);
@@ -599,9 +643,10 @@ FacetTotals InterfaceFacets::load(Particles& particles, const ContactMaterial& l
   FacetTotals totals;
   totals.contacts = 1;
   totals.particle_force = contact.force;
+  totals.particle_moment = contact.point.cross(contact.force);
   totals.normal_force = result.normal_force;
   const Vec3 shear = contact.force - contact.force.dot(normal) * normal;
-  totals.neglected_moment = 0.5 * contact.overlap * shear.norm();
+  totals.neglected_moment = transfers_moment ? 0.0 : 0.5 * contact.overlap * shear.norm();
   totals.elastic_energy = contact_energy(law, contact.overlap, contact.history);
   totals.slip_work = result.slip_work;
   totals.dashpot_work = result.dashpot_power * dt;
@@ -652,7 +697,8 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
       const Vec3 normal = contact.history.normal;  // from grain to facet
       contact.history = inherited(contact, normal, first, last);
       contact.point = center + (radius - 0.5 * contact.overlap) * normal;  // eq. 1
-      part.totals.push_back(load(particles, law, normal, dt, radius, contact));
+      if (material.transfers_moment) find_levers(contact);
+      part.totals.push_back(load(particles, law, normal, dt, radius, material.transfers_moment, contact));
       part.contacts.push_back(contact);
     }
     if (is_tunnelled) ++part.tunnelled;
@@ -683,7 +729,7 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
   std::fill(facet_stiffness_.begin(), facet_stiffness_.end(), 0.0);
   tunnelled_ = 0;
   for (Part& part : parts_) {
-    for (const FacetContact& contact : part.contacts) load_nodes(contact);  // eq. 13
+    for (const FacetContact& contact : part.contacts) load_nodes(contact, material.transfers_moment);  // eq. 13
     for (const FacetTotals& of_one : part.totals) totals.add(of_one);
     tunnelled_ += part.tunnelled;
     if (contacts_.empty())

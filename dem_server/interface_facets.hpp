@@ -44,6 +44,14 @@
 // collar_height; the collar's upper nodes are virtual: they move with the real node below and hand their forces to it,
 // and to the moment that eq. (13) neglects comes that of lifting the force down to the edge.
 //
+// MOMENTS. A contact's force acts at x_C, half an overlap above (or below) the facet, and eq. (13) puts it down to the facet: the
+// moment of that lever a, M = a x F, is dropped, and so is that of a collar's lift. With transfers_moment the facet's nodes
+// get it as forces that add up to none,
+//   f_j = (I^-1 M) x r_j,   r_j = x_j - mean x,   I = sum |r_j|^2 - r_j r_j^T:   sum f_j = 0, sum r_j x f_j = M,
+// the smallest ones that do (least squares). For the work to match, the contact sees the velocity at x_C of a facet that turns:
+//   v = sum N_j v_j + w x a,   w = I^-1 sum r_j x v_j,
+// since then sum f_j . v_j = w . M = F . (w x a). Both sides' moments then balance as their forces do. Along the normal nothing changes.
+//
 // WHICH PEBBLES. Each pebble keeps the facets nearer than a skin, and how far it may move before any other could be
 // touched; those that can touch one before the pair lists are renewed are candidates, and the step looks at no others.
 // The result does not depend on the lists.
@@ -98,6 +106,7 @@ struct FacetMaterial {
   double friction = 1;                // grain against zone (paper, Table 1) [-]
   double damping_ratio = 0;           // of the normal dashpot, against the grain's mass [-]
   double facet_stiffness_factor = 2;  // over the stiffness of a pair of such grains; 2 matches waves [-]
+  bool transfers_moment = false;      // nodes get the moment too that eq. (13) drops
 
   double normal_stiffness(double equivalent_radius) const {
     return facet_stiffness_factor * contact_modulus * 2 * equivalent_radius;
@@ -106,15 +115,16 @@ struct FacetMaterial {
 
 struct FacetTotals {
   std::size_t contacts = 0;
-  Vec3 particle_force = Vec3::Zero();  // sum of the facets' forces on the grains [N]
-  double normal_force = 0;             // sum of |F_n| [N]
-  double neglected_moment = 0;         // sum of |F_s| U/2, which eq. 13 drops [N m]
-  double elastic_energy = 0;           // [J]
-  double slip_work = 0;                // taken out by sliding in this step [J]
-  double dashpot_work = 0;             // taken out by dashpots in this step [J]
-  double power = 0;                    // of the facets on the grains, sum of F_grain . v_facet [W]
-  double max_overlap = 0;              // largest U / R of a pebble
-  std::size_t tunnelled = 0;           // pebbles whose centre is deeper than R/2 behind the surface
+  Vec3 particle_force = Vec3::Zero();   // sum of the facets' forces on the grains [N]
+  Vec3 particle_moment = Vec3::Zero();  // of these about the origin, at the contact points [N m]
+  double normal_force = 0;              // sum of |F_n| [N]
+  double neglected_moment = 0;          // sum of |F_s| U/2, which eq. 13 drops; 0 where it is transferred [N m]
+  double elastic_energy = 0;            // [J]
+  double slip_work = 0;                 // taken out by sliding in this step [J]
+  double dashpot_work = 0;              // taken out by dashpots in this step [J]
+  double power = 0;                     // of the facets on the grains, sum of F_grain . v_facet [W]
+  double max_overlap = 0;               // largest U / R of a pebble
+  std::size_t tunnelled = 0;            // pebbles whose centre is deeper than R/2 behind the surface
 
   void add(const FacetTotals& other);
 };
@@ -126,6 +136,7 @@ struct FacetContact {
     std::int32_t facet = -1;          // collar facets count on after the real ones
     double share = 0;                 // w_i; the shares of a contact sum to 1
     std::array<double, 4> weights{};  // N_j at the foot on this facet
+    Vec3 lever = Vec3::Zero();        // from sum N_j x_j of the real nodes to x_C, where moments are transferred [m]
   };
   std::int32_t pebble = -1;
   std::int32_t body = -1;
@@ -164,6 +175,8 @@ class InterfaceFacets {
   // Continuum's positions: x += v dt, per component and in this order, as the continuum does it, and v becomes the
   // velocity for the contact law. One velocity a node. [m/s], [s]
   void advance(std::span<const Vec3> velocity, double dt);
+  // The same motion in equal parts, part 1 .. parts; the last ends where advance() would, to the bit.
+  void advance_part(std::span<const Vec3> velocity, double dt, std::uint32_t part, std::uint32_t parts);
   // Velocity for the contact law without motion [m/s].
   void set_velocity(std::span<const Vec3> velocity);
   // The servo's part: offset += v dt, and v adds to the velocity for the contact law.
@@ -262,12 +275,15 @@ class InterfaceFacets {
   void find_contacts(Particles& particles, const FacetMaterial& material, double dt, const PebbleRange& range,
                      Part& part);
   FacetTotals load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt, double radius,
-                   FacetContact& contact) const;
+                   bool transfers_moment, FacetContact& contact) const;
   ContactHistory inherited(const FacetContact& contact, const Vec3& normal, std::size_t first, std::size_t last);
-  void load_nodes(const FacetContact& contact);
+  Mat3 inverse_spread(const std::array<std::int32_t, 4>& nodes, Vec3& mean) const;
+  void find_levers(FacetContact& contact) const;
+  void load_nodes(const FacetContact& contact, bool transfers_moment);
 
   // Real nodes.
   Vec3s position_;                  // t_n [m]
+  Vec3s base_;                      // before the first of several parts [m]
   Vec3s offset_;                    // [m]
   Vec3s velocity_;                  // t_{n-1/2} [m/s]
   Vec3s offset_velocity_;           // [m/s]

@@ -2,20 +2,31 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "dem_server/cycle.hpp"
 
 namespace lockstep::dem {
 
 void Ledger::book(const Model& m) {
+  if (!is_kept) {
+    book_stored(m);
+    return;
+  }
   book_energy(m);
   book_momentum(m);
   has_last_ = true;
 }
 
-void Ledger::book_energy(const Model& m) {
+void Ledger::book_stored(const Model& m) {
   now_.kinetic = m.motion.kinetic_energy();
+  if (m.detail != Detail::All) return;
   now_.elastic = m.pair_totals.elastic_energy() + m.facet_totals.elastic_energy + m.wall_totals.elastic_energy;
+  if (m.pile) now_.elastic += m.pile_totals.all().elastic_energy;
+}
+
+void Ledger::book_energy(const Model& m) {
+  book_stored(m);
   // Works of step n are centred on t_n: half of each belongs to the interval before it and half to the one after.
   const double gravity = m.motion.gravity_work;
   const double damped = m.motion.damped_work;
@@ -24,16 +35,13 @@ void Ledger::book_energy(const Model& m) {
   double dashpots = m.pair_totals.dashpot_work + m.facet_totals.dashpot_work + m.wall_totals.dashpot_work;
   if (m.pile) {
     const WallTotals pile = m.pile_totals.all();
-    now_.elastic += pile.elastic_energy;
     boundary += pile.power * m.last_time_step;
     friction += pile.slip_work;
     dashpots += pile.dashpot_work;
   }
 
   const Vec3s& force = m.facets.nodal_force();
-  if (!has_last_) {
-    start_ = now_.kinetic + now_.elastic;
-  } else {
+  if (has_last_) {
     double interface = 0;  // on the grains: minus that on the nodes
     const Vec3s& velocity = m.facets.velocity();
     for (std::size_t j = 0; j < force.size(); ++j)
@@ -52,9 +60,12 @@ void Ledger::book_energy(const Model& m) {
   last_damped_ = damped;
   last_boundary_ = boundary;
   last_nodal_force_ = force;
-  residual_ =
-      now_.kinetic + now_.elastic - start_ -
+  if (m.detail != Detail::All) return;
+  const double balance =
+      now_.kinetic + now_.elastic -
       (now_.gravity_work + now_.boundary_work + now_.interface_work - now_.damped - now_.friction - now_.dashpots);
+  if (!std::exchange(has_start_, true)) start_ = balance;
+  residual_ = balance - start_;
 }
 
 void Ledger::book_momentum(const Model& m) {

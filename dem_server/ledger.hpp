@@ -6,6 +6,9 @@
 // What does not balance is `residual`. The interface's work from n-1 to n is booked at n, one exchange late, since the
 // velocities v(n-1/2) arrive then.
 //
+// Elastic energy is only summed with Detail::All, works from Detail::Works on: what does not balance is known at the
+// steps of the first kind, and holds all steps between.
+//
 // Momentum from n-1/2 to n+1/2: the change over the step is the sum of all outer forces and local damping, to
 // round-off; it catches what smooth curves hide (a shaft that drags the wrong way looks plausible).
 #pragma once
@@ -28,10 +31,17 @@ struct GrainEnergies {  // [J]
 
 class Ledger {
  public:
+  // False: only the energies that stand are looked at, no works are summed and nothing is balanced.
+  bool is_kept = true;
+
   // Called by cycle() after the bodies have moved, before step and time are counted on.
   void book(const Model& model);
   // Starts all sums anew at the next booking.
-  void restart() { *this = Ledger(); }
+  void restart() {
+    const bool kept = is_kept;
+    *this = Ledger();
+    is_kept = kept;
+  }
 
   const GrainEnergies& energies() const { return now_; }
   double residual() const { return residual_; }  // at t_n [J]
@@ -47,11 +57,13 @@ class Ledger {
   double worst_action_reaction() const { return largest_reaction_ > 0 ? worst_reaction_ / largest_reaction_ : 0.0; }
 
  private:
+  void book_stored(const Model& model);
   void book_energy(const Model& model);
   void book_momentum(const Model& model);
 
   GrainEnergies now_;
   double start_ = 0;
+  bool has_start_ = false;
   double residual_ = 0, work_done_ = 0;                            // [J]
   double imbalance_ = 0, worst_imbalance_ = 0, largest_term_ = 0;  // [N]
   double worst_reaction_ = 0, largest_reaction_ = 0;               // [N]

@@ -123,6 +123,13 @@ void Output::record(const Model& m, double s_over_d, double ratio) {
   interface_sum_.setZero();
 }
 
+void Output::record_interface(const CoupledLedger& ledger) {
+  if (folder_.empty()) return;
+  if (!interface_history_)
+    interface_history_ = std::make_unique<History>(folder_ / "dem_interface.csv", CoupledLedger::columns());
+  interface_history_->add(ledger.row());
+}
+
 namespace {
 
 Field scalars(const char* name, std::size_t count) { return {name, 1, std::vector<double>(count)}; }

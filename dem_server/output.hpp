@@ -1,5 +1,6 @@
 // What dem_server leaves in the run's folder:
 //   dem_history.csv                        one row every output.history_interval steps, forces averaged over them
+//   dem_interface.csv                      what the interface does to both sides (common/coupled_ledger.hpp)
 //   wall_history.csv                       the same rows for the walls of `wall` blocks
 //   particles_NNNN.vtp, contacts_NNNN.vtp  snapshots, with particles.pvd and contacts.pvd over time
 //   dem_summary.json                       stages, guarantees, shares of time
@@ -9,6 +10,7 @@
 #include <memory>
 #include <optional>
 
+#include "common/coupled_ledger.hpp"
 #include "common/results.hpp"
 #include "dem_server/cycle.hpp"
 #include "dem_server/observers.hpp"
@@ -24,6 +26,8 @@ class Output {
 
   // Takes part in the averages; writes a row when one is due. `s_over_d` is 0 without a pile.
   void record(const Model& model, double s_over_d, double unbalanced_ratio);
+  // A row of dem_interface.csv: what the interface did to both sides.
+  void record_interface(const CoupledLedger& ledger);
   // Particles and contacts, at most once per step.
   void snapshot(const Model& model, const Settings& settings);
   void summary(const Json& summary);
@@ -36,7 +40,7 @@ class Output {
  private:
   std::filesystem::path folder_;
   std::uint32_t interval_;
-  std::unique_ptr<History> history_;
+  std::unique_ptr<History> history_, interface_history_;
   WallHistory wall_history_;
   std::unique_ptr<Observers> observers_;  // none unless the scene asks
   bool splits_energies_ = false;

@@ -339,6 +339,10 @@ Settings make_settings(const SceneFile& file) {
   s.step_damping = std::max(s.run_damping, s.has_apply ? s.apply_damping : 0.0);
 
   s.step_fraction = scene.fidelity().step_fraction();
+  s.exchange_interval = scene.fidelity().exchange_interval();
+  s.transfers_moment = scene.coupling().moment_transfer() == scene::Coupling::EXACT;
+  s.keeps_ledger = scene.coupling().ledger();
+  s.stop_if_energy_error = scene.coupling().stop_if_energy_error();
   s.history_interval = scene.output().history_interval();
   s.snapshot_interval = scene.output().snapshot_interval();
   s.peer_timeout = scene.coupling().peer_timeout();

@@ -141,6 +141,10 @@ struct Settings {
   double step_damping = 0;  // the largest that the coupled run will see: the time step is held for it
 
   double step_fraction = 0.9;           // of the stable step
+  std::uint32_t exchange_interval = 1;  // steps to one of the ground
+  bool transfers_moment = false;        // to the interface's nodes
+  bool keeps_ledger = true;
+  double stop_if_energy_error = 0;      // of the work done; 0: never
   double peer_timeout = 60;             // [s]
   std::uint32_t history_interval = 20;  // steps
   double snapshot_interval = 0;         // S/D, or seconds without a pile

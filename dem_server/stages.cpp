@@ -7,6 +7,8 @@
 #include <optional>
 
 #include "common/checks.hpp"
+#include "common/coupled_ledger.hpp"
+#include "common/coupled_limit.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
 #include "dem_server/constants.hpp"
@@ -68,7 +70,8 @@ class GrainsRun {
       return finish();
     } catch (const Error& error) {
       session_.abort(static_cast<int>(error.code()), error.what());
-      keep_last_state();
+      end_ = error.what();
+      keep_last_state(error.code() == ExitCode::Numerical);
       throw;
     } catch (const std::exception& error) {
       session_.abort(static_cast<int>(ExitCode::Internal), error.what());
@@ -103,13 +106,16 @@ class GrainsRun {
   }
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
+  std::string culprit(const StepLimit& limit) const;
   void set_friction(double grain, double walls_and_pile_factor);
   BottomBalance bottom_balance(const Servo& servo) const;
   double renew_step();
   void watch();
+  void keep_good_state(std::uint64_t exchanges);
+  void return_to_good_state();
   void show_progress(double unbalanced);
   void show_packing(double fraction);
-  void keep_last_state() noexcept;
+  void keep_last_state(bool has_failed) noexcept;
   void stage_done(const std::string& name, Clock::time_point begin, Json entry);
   Json summary();
 
@@ -133,6 +139,15 @@ class GrainsRun {
   double penetration_begin_ = 0;        // time at S = 0 [s]
   double next_snapshot_ = 0;            // S/D or seconds
   std::vector<double> told_stiffness_;  // per node, as the peer knows it [N/m]
+  CoupledLimit told_limit_;  // as the peer knows it; of the grains alone with a peer that does not tell its own
+  std::optional<CoupledLedger> coupled_;
+  // What a run that fails goes back to, newest last.
+  struct GoodState {
+    std::uint64_t exchanges = 0, step = 0;
+    double time = 0;  // [s]
+    PackingState state;
+  };
+  std::vector<GoodState> good_states_;
   Clock::time_point last_progress_{};
   Clock::time_point begin_ = Clock::now();
   Clock::time_point stage_begin_ = Clock::now();
@@ -249,7 +264,8 @@ void GrainsRun::make_model() {
   m.gravity = {0, 0, -settings_.gravity};
   m.material = settings_.material;
   m.facet_material = {settings_.material.contact_modulus, settings_.material.stiffness_ratio,
-                      settings_.interface_friction, settings_.material.damping_ratio, settings_.facet_stiffness_factor};
+                      settings_.interface_friction,       settings_.material.damping_ratio,
+                      settings_.facet_stiffness_factor,   settings_.transfers_moment};
   m.facets = InterfaceFacets(initial_.nodes, initial_.facets, collar);
   m.walls = Walls(settings_.all_walls(), settings_.wall_friction);
   m.walls.set_moving(false, false);
@@ -517,6 +533,13 @@ void GrainsRun::settle(Servo& servo) {
 
 // ----------------------------------------------------------------------------------------------------- step 3
 
+// Who sets the grains' limit, for messages.
+std::string GrainsRun::culprit(const StepLimit& limit) const {
+  if (limit.worst_body < 0) return "the grains (a first touch of the lightest one)";
+  const Vec3 x = std::as_const(model_->particles).position(limit.worst_body);
+  return fmt::format("grain {} at ({:.4g}, {:.4g}, {:.4g}) m", limit.worst_body, x.x(), x.y(), x.z());
+}
+
 void GrainsRun::excavate() {
   stage_ = protocol::Stage::Excavate;
   const auto begin = Clock::now();
@@ -528,14 +551,18 @@ void GrainsRun::excavate() {
         "the peer has moved its interface since",
         theirs.position_hash, m.facets.position_hash()));
   limit_ = stable_step(m, settings_.step_damping);
+  told_limit_ = CoupledLimit(theirs.stiffness, settings_.exchange_interval);
   protocol::GrainsExcavated reply;
   reply.offset = m.facets.offsets();
-  reply.stable_step = limit_.step;
+  reply.stable_step = settings_.exchange_interval * limit_.step;
+  reply.limited_by = culprit(limit_);
   // A node that nothing touches yet counts as if one grain did: a first touch must not find too long a step.
   const double first_touch = m.facet_material.normal_stiffness(m.particles.largest_radius());
   told_stiffness_ = m.facets.node_stiffness();
   for (double& k : told_stiffness_) k = std::max(k, first_touch);
   reply.node_stiffness = told_stiffness_;
+  told_limit_.set_contacts(told_stiffness_);
+  told_limit_.set_grains(reply.stable_step, reply.limited_by);
   reply.nodal_force = m.facets.nodal_force();
   reply.position_hash = m.facets.position_hash();
   session_.send(reply);
@@ -549,29 +576,26 @@ void GrainsRun::excavate() {
 
 // ---------------------------------------------------------------------------------------------- steps 4 to 7
 
-// The peer moves the facets: paper steps 5 and 6.
+// The peer moves the facets: paper steps 5 and 6. An exchange holds fidelity.exchange_interval steps of the grains (the first
+// one: a single step), in which the facets go their way in equal parts and whose mean force is the answer, so that both
+// sides see the same impulse.
 class GrainsRun::Peer : public Boundary {
  public:
-  explicit Peer(GrainsRun& run) : run_(run) {}
+  explicit Peer(GrainsRun& run) : run_(run), coupled_(run.coupled_), parts_(run.settings_.exchange_interval) {}
 
   bool move_facets(Model& m) override {
-    {
-      const auto timing = m.profile.measure(Phase::WaitForPeer);
-      if (!run_.session_.receive_or_finish(velocities_)) return false;
+    if (part_ == exchange_parts_) {
+      {
+        const auto timing = m.profile.measure(Phase::WaitForPeer);
+        if (!run_.session_.receive_or_finish(velocities_)) return false;
+      }
+      exchange_parts_ = last_step_ > 0 ? parts_ : 1;
+      part_ = 0;
     }
-    m.facets.advance(velocities_.velocity, m.last_time_step);
-    if (velocities_.position_hash != 0 && velocities_.position_hash != m.facets.position_hash())
-      throw PeerError(
-          fmt::format("Velocities({}).position_hash is {:016x}, the grains hold {:016x}: the two sides no longer agree "
-                      "where the interface is; both must do x += v * time_step in double precision",
-                      velocities_.step, velocities_.position_hash, m.facets.position_hash()));
-    if (velocities_.time_step > told_step_)
-      throw NumericalError(
-          fmt::format("Velocities({}).time_step is {:.4e} s, but the grains are stable up to {:.4e} s, as Forces({}) "
-                      "or GrainsExcavated told "
-                      "the peer, who owns the step: it must keep below",
-                      velocities_.step, velocities_.time_step, told_step_, velocities_.step - 1));
-    m.time_step = velocities_.time_step;
+    ++part_;
+    m.facets.advance_part(velocities_.velocity, last_step_, part_, exchange_parts_);
+    m.time_step = (is_last_part() ? velocities_.time_step : last_step_) / parts_;
+    if (is_last_part()) check_peer(m);
     if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply)
       run_.begin_penetration();
     if (run_.stage_ == protocol::Stage::Penetrate && m.pile) {
@@ -579,35 +603,117 @@ class GrainsRun::Peer : public Boundary {
       const double ramp = std::min(1.0, (m.time - run_.penetration_begin_) / pile.speed_ramp);
       m.pile->set_velocity(-pile.velocity * ramp);
     }
+    m.detail = is_measured(m.step + 1) || !has_stepped_ ? Detail::All
+               : run_.settings_.keeps_ledger            ? Detail::Works
+                                                        : Detail::Forces;
+    has_stepped_ = true;
     return true;
   }
 
   void take_forces(Model& m) override {
+    add_forces(m);
+    if (!is_last_part()) return;
+    if (exchange_parts_ > 1) take_mean();
     forces_.step = velocities_.step;
-    forces_.force = m.facets.nodal_force();
-    forces_.particle_force = m.facet_totals.particle_force;
-    forces_.neglected_moment = m.facet_totals.neglected_moment;
     forces_.unbalanced_ratio = ratio_;
-    forces_.stable_step = told_step_ = stable_step_;
+    forces_.stable_step = parts_ * limit_.step;
+    forces_.limited_by.clear();
+    if (forces_.stable_step != run_.told_limit_.grains_limit()) {
+      forces_.limited_by = run_.culprit(limit_);
+      run_.told_limit_.set_grains(forces_.stable_step, forces_.limited_by);
+    }
     forces_.is_done = run_.is_over();
-    const GrainEnergies& e = m.ledger.energies();
-    forces_.energies = {e.kinetic,  e.elastic,       e.gravity_work,  e.damped + e.dashpots,
-                        e.friction, e.boundary_work, e.interface_work};
+    forces_.energies = energies_;
     tell_stiffness(m);
     run_.session_.send(forces_);
   }
 
   // After the cycle, while the message is on its way.
   void take_stock(Model& m) {
-    ratio_ = unbalanced_ratio(m);
+    if (m.detail == Detail::All) ratio_ = unbalanced_ratio(m);
     if (m.step % limit_interval == 0) {
-      stable_step_ = std::min(stable_step_, stable_step(m, run_.settings_.step_damping).step);
+      const StepLimit now = stable_step(m, run_.settings_.step_damping);
+      if (now.step < limit_.step) limit_ = now;
     }
+    if (!is_last_part()) return;
+    if (coupled_) book_exchange(m);
+    last_step_ = velocities_.time_step;
+    energies_.reset();
+    if (m.detail == Detail::All && run_.settings_.keeps_ledger) {
+      const GrainEnergies& e = m.ledger.energies();
+      energies_ = {e.kinetic,  e.elastic,       e.gravity_work,  e.damped + e.dashpots,
+                   e.friction, e.boundary_work, e.interface_work};
+    }
+    if ((velocities_.step + 1) % good_state_interval == 0) run_.keep_good_state(velocities_.step + 1);
   }
 
-  void start() { told_step_ = stable_step_ = run_.limit_.step; }
+  void start() { limit_ = run_.limit_; }
+  double ratio() const { return ratio_; }
 
  private:
+  bool is_last_part() const { return part_ == exchange_parts_; }
+
+  // Whether anything looks at the sums of the step that ends with `step`.
+  bool is_measured(std::uint64_t step) const {
+    const Settings& s = run_.settings_;
+    return step % ledger_interval == 0 || step % heartbeat_interval == 0 || step % s.history_interval == 0 ||
+           (s.measure.interval > 0 && step % s.measure.interval == 0);
+  }
+
+  void check_peer(const Model& m) const {
+    if (velocities_.position_hash != 0 && velocities_.position_hash != m.facets.position_hash())
+      throw PeerError(
+          fmt::format("Velocities({}).position_hash is {:016x}, the grains hold {:016x}: the two sides no longer agree "
+                      "where the interface is; both must do x += v * time_step in double precision",
+                      velocities_.step, velocities_.position_hash, m.facets.position_hash()));
+    // A scene may ask for more than the limit, knowingly.
+    const double allowed = std::max(1.0, run_.settings_.step_fraction) * run_.told_limit_.limit();
+    if (velocities_.time_step > allowed)
+      throw NumericalError(
+          fmt::format("Velocities({}).time_step is {:.4e} s, but zones and grains together are stable up to {:.4e} s "
+                      "(zones {:.4e} s, "
+                      "with contacts {:.4e} s, grains {:.4e} s), as both sides know since Forces({}) or "
+                      "GrainsExcavated; the limit is "
+                      "that of {}. The peer owns the step and must keep below",
+                      velocities_.step, velocities_.time_step, run_.told_limit_.limit(), run_.told_limit_.zones_limit(),
+                      run_.told_limit_.interface_limit(), run_.told_limit_.grains_limit(), velocities_.step - 1,
+                      run_.told_limit_.culprit(m.facets.positions())));
+  }
+
+  // Of this step; the sum over the exchange so far where it has several.
+  void add_forces(const Model& m) {
+    const Vec3s& force = m.facets.nodal_force();
+    if (part_ == 1) {
+      forces_.force = force;
+      forces_.particle_force = m.facet_totals.particle_force, forces_.particle_moment = m.facet_totals.particle_moment;
+      forces_.neglected_moment = m.facet_totals.neglected_moment;
+      return;
+    }
+    for (std::size_t j = 0; j < force.size(); ++j) forces_.force[j] += force[j];
+    forces_.particle_force += m.facet_totals.particle_force, forces_.particle_moment += m.facet_totals.particle_moment;
+    forces_.neglected_moment += m.facet_totals.neglected_moment;
+  }
+
+  void take_mean() {
+    const double share = 1.0 / exchange_parts_;
+    for (Vec3& f : forces_.force) f *= share;
+    forces_.particle_force *= share, forces_.particle_moment *= share, forces_.neglected_moment *= share;
+  }
+
+  // Forces of this exchange, energies of the end of the last one.
+  void book_exchange(const Model& m) {
+    InterfaceSums sums;
+    for (const Vec3& f : forces_.force) sums.nodes_force += f;
+    sums.nodes_moment = moment_of(m.facets.positions(), forces_.force) + moment_of(m.facets.offsets(), forces_.force);
+    sums.particles_force = forces_.particle_force, sums.particles_moment = forces_.particle_moment;
+    coupled_->book_interface(velocities_.step, m.time,
+                             0.5 * ((last_step_ > 0 ? last_step_ : velocities_.time_step) + velocities_.time_step),
+                             sums);
+    if (!energies_) return;
+    coupled_->book_energies(*energies_, velocities_.energies);
+    if (const std::string words = coupled_->alarm(); !words.empty()) throw NumericalError(words);
+  }
+
   // Node stiffness travels when one has grown by a tenth beyond what the peer knows.
   void tell_stiffness(const Model& m) {
     const std::vector<double>& now = m.facets.node_stiffness();
@@ -618,14 +724,21 @@ class GrainsRun::Peer : public Boundary {
     if (!has_grown) return;
     for (std::size_t j = 0; j < now.size(); ++j) told[j] = std::max(told[j], now[j]);
     forces_.node_stiffness = told;
+    run_.told_limit_.set_contacts(told);
   }
 
   GrainsRun& run_;
+  std::optional<CoupledLedger>& coupled_;
+  const std::uint32_t parts_;         // of an exchange
+  std::uint32_t exchange_parts_ = 0;  // of this one
+  std::uint32_t part_ = 0;            // of this exchange, from 1
+  double last_step_ = 0;              // time_step of the exchange before [s]
+  bool has_stepped_ = false;
   protocol::Velocities velocities_;
   protocol::Forces forces_;
+  std::optional<Energies> energies_;  // at the end of the last exchange
   double ratio_ = 1;
-  double stable_step_ = 0;  // of the grains, as of the last renewal [s]
-  double told_step_ = 0;    // as the peer knows it [s]
+  StepLimit limit_;  // as of the last renewal
 };
 
 void GrainsRun::begin_apply() {
@@ -639,6 +752,8 @@ void GrainsRun::begin_apply() {
   m.step = 0;
   m.last_time_step = 0;
   m.ledger.restart();
+  m.ledger.is_kept = settings_.keeps_ledger;
+  if (settings_.keeps_ledger) coupled_.emplace(settings_.stop_if_energy_error);
   output_.snapshot(m, settings_);
 }
 
@@ -668,10 +783,11 @@ void GrainsRun::exchange() {
   peer.start();
   while (cycle(m, peer)) {
     peer.take_stock(m);
-    output_.record(m, s_over_d(), unbalanced_ratio(m));
+    output_.record(m, s_over_d(), peer.ratio());
+    if (coupled_ && m.step % settings_.history_interval == 0) output_.record_interface(*coupled_);
     if (m.step % heartbeat_interval == 0) {
       watch();
-      show_progress(unbalanced_ratio(m));
+      show_progress(peer.ratio());
     }
     if (stage_ == protocol::Stage::Penetrate && settings_.snapshot_interval > 0) {
       const double now = settings_.pile ? s_over_d() : m.time - penetration_begin_;
@@ -780,9 +896,31 @@ void GrainsRun::show_packing(double fraction) {
   print_progress(fmt::format("side=grains stage=Balance fraction={:.3f}", fraction));
 }
 
-void GrainsRun::keep_last_state() noexcept {
+void GrainsRun::keep_good_state(std::uint64_t exchanges) {
+  watch();
+  if (good_states_.size() == 2) good_states_.erase(good_states_.begin());
+  good_states_.push_back({exchanges, model_->step, model_->time, state_of(*model_)});
+}
+
+// The newest state that the failure had not reached yet, if there is one.
+void GrainsRun::return_to_good_state() {
+  Model& m = *model_;
+  const std::uint64_t failed_at = m.step;
+  const std::uint64_t age = good_state_age * settings_.exchange_interval;
+  while (!good_states_.empty() && good_states_.back().step + age > failed_at) good_states_.pop_back();
+  if (good_states_.empty()) return;
+  const GoodState& good = good_states_.back();
+  restore(m, good.state);
+  m.step = good.step, m.time = good.time;
+  m.detail = Detail::All;
+  evaluate_forces(m);
+  spdlog::error("failed at step {}; the last files show step {}, the last one known to be sound", failed_at, m.step);
+}
+
+void GrainsRun::keep_last_state(bool has_failed) noexcept {
   try {
     if (!model_) return;
+    if (has_failed) return_to_good_state();
     output_.snapshot(*model_, settings_);
     output_.summary(summary());
   } catch (const std::exception& error) {
@@ -828,11 +966,13 @@ Json GrainsRun::summary() {
                           .add("damped", e.damped)
                           .add("friction", e.friction)
                           .add("dashpots", e.dashpots));
-  j.add("guarantees", Json()
-                          .add("energy_residual_over_work", m.ledger.residual_fraction())
-                          .add("worst_vertical_imbalance_over_largest_force", m.ledger.worst_vertical_imbalance())
-                          .add("worst_action_minus_reaction", m.ledger.worst_action_reaction())
-                          .add("tunnelled_pebbles", static_cast<std::int64_t>(m.facets.tunnelled())));
+  Json guarantees;
+  if (m.ledger.is_kept)
+    guarantees.add("energy_residual_over_work", m.ledger.residual_fraction())
+        .add("worst_vertical_imbalance_over_largest_force", m.ledger.worst_vertical_imbalance())
+        .add("worst_action_minus_reaction", m.ledger.worst_action_reaction());
+  j.add("guarantees", guarantees.add("tunnelled_pebbles", static_cast<std::int64_t>(m.facets.tunnelled())));
+  if (coupled_) j.add("coupled", coupled_->summary());
   j.add("seconds_by_phase", Json()
                                 .add("wait for peer", m.profile.seconds(Phase::WaitForPeer))
                                 .add("interface contacts", m.profile.seconds(Phase::InterfaceContacts))

@@ -132,9 +132,14 @@ void inspect(const Balance& m, const std::optional<Mesh>& mesh, Findings& f) {
   f.finite("unbalanced_ratio", m.unbalanced_ratio);
 }
 
-void inspect(const ContinuumExcavated& m, const std::optional<Mesh>&, Findings& f) {
+void inspect(const ContinuumExcavated& m, const std::optional<Mesh>& mesh, Findings& f) {
   f.finite("residual_ratio", m.residual_ratio);
   f.not_negative("stable_step", m.stable_step);
+  f.not_negative("frequency_squared", m.stiffness.frequency_squared);
+  if (mesh && !m.stiffness.node_mass.empty()) f.length("node_mass", m.stiffness.node_mass.size(), mesh->nodes, "nodes");
+  f.finite("node_mass", m.stiffness.node_mass);
+  f.not_negative("damping", m.stiffness.damping);
+  f.not_negative("stiffness_damping", m.stiffness.stiffness_damping);
 }
 
 void inspect(const GrainsExcavated& m, const std::optional<Mesh>& mesh, Findings& f) {
@@ -169,9 +174,10 @@ void inspect(const Forces& m, const std::optional<Mesh>& mesh, Findings& f) {
   f.not_negative("stable_step", m.stable_step);
   f.finite("node_stiffness", m.node_stiffness);
   f.finite("unbalanced_ratio", m.unbalanced_ratio);
-  f.energies(m.energies);
+  if (m.energies) f.energies(*m.energies);
   f.finite("particle_force", m.particle_force);
   f.finite("neglected_moment", m.neglected_moment);
+  f.finite("particle_moment", m.particle_moment);
 }
 
 void inspect(const Progress& m, const std::optional<Mesh>&, Findings& f) { f.finite("fraction", m.fraction); }
@@ -292,6 +298,10 @@ void to_wire(const ContinuumExcavated& m, wire::ContinuumExcavated& w) {
   w.set_residual_ratio(m.residual_ratio);
   w.set_stable_step(m.stable_step);
   w.set_position_hash(m.position_hash);
+  w.set_frequency_squared(m.stiffness.frequency_squared);
+  w.mutable_node_mass()->Assign(m.stiffness.node_mass.begin(), m.stiffness.node_mass.end());
+  w.set_damping(m.stiffness.damping);
+  w.set_stiffness_damping(m.stiffness.stiffness_damping);
 }
 
 void from_wire(const wire::ContinuumExcavated& w, ContinuumExcavated& m) {
@@ -299,6 +309,10 @@ void from_wire(const wire::ContinuumExcavated& w, ContinuumExcavated& m) {
   m.residual_ratio = w.residual_ratio();
   m.stable_step = w.stable_step();
   m.position_hash = w.position_hash();
+  m.stiffness.frequency_squared = w.frequency_squared();
+  m.stiffness.node_mass.assign(w.node_mass().begin(), w.node_mass().end());
+  m.stiffness.damping = w.damping();
+  m.stiffness.stiffness_damping = w.stiffness_damping();
 }
 
 void to_wire(const GrainsExcavated& m, wire::GrainsExcavated& w) {
@@ -307,6 +321,7 @@ void to_wire(const GrainsExcavated& m, wire::GrainsExcavated& w) {
   copy(m.node_stiffness, *w.mutable_node_stiffness());
   copy(m.nodal_force, *w.mutable_nodal_force());
   w.set_position_hash(m.position_hash);
+  w.set_limited_by(m.limited_by);
 }
 
 void from_wire(const wire::GrainsExcavated& w, GrainsExcavated& m) {
@@ -316,6 +331,7 @@ void from_wire(const wire::GrainsExcavated& w, GrainsExcavated& m) {
   copy(type, "node_stiffness", w.node_stiffness(), m.node_stiffness);
   copy(type, "nodal_force", w.nodal_force(), m.nodal_force);
   m.position_hash = w.position_hash();
+  m.limited_by = w.limited_by();
 }
 
 void to_wire(const Energies& m, wire::Energies& w) {
@@ -368,9 +384,14 @@ void to_wire(const Forces& m, wire::Forces& w) {
   copy(m.node_stiffness, *w.mutable_node_stiffness());
   w.set_unbalanced_ratio(m.unbalanced_ratio);
   w.set_is_done(m.is_done);
-  to_wire(m.energies, *w.mutable_energies());
+  if (m.energies)
+    to_wire(*m.energies, *w.mutable_energies());
+  else
+    w.clear_energies();
   copy(m.particle_force, *w.mutable_particle_force());
   w.set_neglected_moment(m.neglected_moment);
+  copy(m.particle_moment, *w.mutable_particle_moment());
+  w.set_limited_by(m.limited_by);
 }
 
 void from_wire(const wire::Forces& w, Forces& m) {
@@ -381,9 +402,14 @@ void from_wire(const wire::Forces& w, Forces& m) {
   copy(type, "node_stiffness", w.node_stiffness(), m.node_stiffness);
   m.unbalanced_ratio = w.unbalanced_ratio();
   m.is_done = w.is_done();
-  from_wire(w.energies(), m.energies);
+  if (w.has_energies())
+    from_wire(w.energies(), m.energies.emplace());
+  else
+    m.energies.reset();
   copy(type, "particle_force", w.particle_force(), m.particle_force);
   m.neglected_moment = w.neglected_moment();
+  copy(type, "particle_moment", w.particle_moment(), m.particle_moment);
+  m.limited_by = w.limited_by();
 }
 
 void to_wire(const Progress& m, wire::Progress& w) {

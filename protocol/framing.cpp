@@ -65,6 +65,7 @@ FrameLimits limits_for_mesh(std::size_t nodes, std::size_t facets) {
   constexpr std::size_t vector = 3 * sizeof(double), number = sizeof(double);
   FrameLimits limits = limits_before_hello();
   set_limit(limits, MessageType::Balance, scalars + facets * vector);
+  set_limit(limits, MessageType::ContinuumExcavated, scalars + nodes * number);
   set_limit(limits, MessageType::GrainsExcavated, scalars + nodes * (2 * vector + number));
   set_limit(limits, MessageType::Velocities, scalars + nodes * vector);
   set_limit(limits, MessageType::Forces, scalars + nodes * (vector + number));

@@ -8,16 +8,19 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
 
+#include "common/coupled_limit.hpp"
+#include "common/energies.hpp"
 #include "common/vectors.hpp"
 
 namespace lockstep::protocol {
 
 inline constexpr std::uint32_t version_major = 1;
-inline constexpr std::uint32_t version_minor = 0;
+inline constexpr std::uint32_t version_minor = 1;
 
 enum class Role : std::uint8_t { Continuum, Grains };
 
@@ -70,6 +73,7 @@ struct ContinuumExcavated {
   double residual_ratio = 0;        // worst |m a| / |f| after putting the baseline in place of the zones [-]
   double stable_step = 0;           // of the zones alone, damping included [s]
   std::uint64_t position_hash = 0;  // of the interface nodes
+  GroundStiffness stiffness;        // with which the grains hold the coupled limit too
 };
 
 // Step 3, grains -> continuum: the facets are the boundary.
@@ -79,17 +83,7 @@ struct GrainsExcavated {
   std::vector<double> node_stiffness;  // per node: sum over contacts of k w [N/m]
   Vec3s nodal_force;                   // per node: F(0) with zero velocities, to compare with the baseline [N]
   std::uint64_t position_hash = 0;     // of the continuum's positions as the grains hold them
-};
-
-// Energies of one side at t_n, all in [J]; work is counted from the start of Apply.
-struct Energies {
-  double kinetic = 0;
-  double elastic = 0;
-  double gravity_work = 0;    // done by gravity on this side
-  double damped = 0;          // taken out by damping
-  double friction = 0;        // taken out by sliding
-  double boundary_work = 0;   // done by the pile or by supports on this side
-  double interface_work = 0;  // done by the interface on this side
+  std::string limited_by;              // which grain sets stable_step, for messages
 };
 
 // Step 5, continuum -> grains.
@@ -105,15 +99,17 @@ struct Velocities {
 
 // Step 6, grains -> continuum.
 struct Forces {
-  std::uint64_t step = 0;              // n, as in the Velocities that it answers
-  Vec3s force;                         // per node, F(n) on the continuum [N]
-  double stable_step = 0;              // the grains' own limit, damping included [s]
-  std::vector<double> node_stiffness;  // per node [N/m]; empty unless one has grown by a tenth
-  double unbalanced_ratio = 0;         // of the grains, latest known [-]
-  bool is_done = false;                // the pile has reached its depth, or the grains' part of the scene is over
-  Energies energies;                   // of the grains
-  Vec3 particle_force = Vec3::Zero();  // sum of the interface's forces on the particles: minus the sum of force [N]
-  double neglected_moment = 0;         // sum of |F_s| U/2, which eq. 13 drops [N m]
+  std::uint64_t step = 0;               // n, as in the Velocities that it answers
+  Vec3s force;                          // per node, F(n) on the continuum [N]
+  double stable_step = 0;               // the grains' own limit, damping included [s]
+  std::vector<double> node_stiffness;   // per node [N/m]; empty unless one has grown by a tenth
+  double unbalanced_ratio = 0;          // of the grains, latest known [-]
+  bool is_done = false;                 // the pile has reached its depth, or the grains' part of the scene is over
+  std::optional<Energies> energies;     // of the grains at t_(n-1), where they were summed up
+  Vec3 particle_force = Vec3::Zero();   // sum of the interface's forces on the particles: minus the sum of force [N]
+  double neglected_moment = 0;          // sum of |F_s| U/2, which eq. 13 drops [N m]
+  Vec3 particle_moment = Vec3::Zero();  // of the interface's forces on the particles, about the origin [N m]
+  std::string limited_by;               // which grain set stable_step, when that has fallen
 };
 
 // Heartbeat during long stages, so that slow is not taken for dead. Either side, any stage after Hello.

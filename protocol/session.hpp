@@ -18,9 +18,11 @@
 
 namespace lockstep::protocol {
 
-// The peer has sent Abort.
+// The peer has sent Abort. Where its computation failed, so has the coupled one: both sides end with the same code.
 struct PeerGaveUp : PeerError {
-  PeerGaveUp(std::int32_t code, const std::string& text) : PeerError(text), peer_exit_code(code) {}
+  PeerGaveUp(std::int32_t code, const std::string& text)
+      : PeerError(text, code == static_cast<int>(ExitCode::Numerical) ? ExitCode::Numerical : ExitCode::Peer),
+        peer_exit_code(code) {}
   std::int32_t peer_exit_code;  // with which the peer's process ends
 };
 

@@ -56,7 +56,7 @@ TEST_CASE("a Python peer accepts this code's frames and agrees on every position
   InitialStress initial = flat_interface(3, 2);
   session.send(initial);
   CHECK(session.receive<Balance>().traction == initial.traction);
-  session.send(ContinuumExcavated{0, 0, 0, hash_of(initial.nodes)});
+  session.send(ContinuumExcavated{0, 0, 0, hash_of(initial.nodes), {}});
   const GrainsExcavated excavated = session.receive<GrainsExcavated>();
   CHECK(excavated.position_hash == hash_of(initial.nodes));
 

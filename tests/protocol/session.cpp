@@ -185,7 +185,7 @@ TEST_CASE("a Hello that does not fit is refused by both sides with both values")
   std::string expected;
   SECTION("version") {
     theirs.major = 7, theirs.minor = 3;
-    expected = "protocol versions differ: 1.0 and 7.3";
+    expected = fmt::format("protocol versions differ: {}.{} and 7.3", version_major, version_minor);
   }
   SECTION("role") {
     theirs.role = Role::Grains;

@@ -58,7 +58,7 @@ inline void open_as_continuum(Session& session, const InitialStress& initial) {
   session.shake_hands(hello_of(Role::Continuum));
   session.send(initial);
   session.receive<Balance>();
-  session.send(ContinuumExcavated{1, 0.0, 1e-4, hash_of(initial.nodes)});
+  session.send(ContinuumExcavated{1, 0.0, 1e-4, hash_of(initial.nodes), {}});
   session.receive<GrainsExcavated>();
 }
 
