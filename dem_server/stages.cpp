@@ -603,9 +603,9 @@ class GrainsRun::Peer : public Boundary {
       const double ramp = std::min(1.0, (m.time - run_.penetration_begin_) / pile.speed_ramp);
       m.pile->set_velocity(-pile.velocity * ramp);
     }
-    m.detail = is_measured(m.step + 1) || !has_stepped_ ? Detail::All
-               : run_.settings_.keeps_ledger            ? Detail::Works
-                                                        : Detail::Forces;
+    const bool is_booked = is_last_part() && (velocities_.step + 1) % ledger_interval == 0;
+    const Detail between = run_.settings_.keeps_ledger ? Detail::Works : Detail::Forces;
+    m.detail = is_booked || is_measured(m.step + 1) || !has_stepped_ ? Detail::All : between;
     has_stepped_ = true;
     return true;
   }
@@ -653,10 +653,10 @@ class GrainsRun::Peer : public Boundary {
  private:
   bool is_last_part() const { return part_ == exchange_parts_; }
 
-  // Whether anything looks at the sums of the step that ends with `step`.
+  // Whether anything but the coupled ledger looks at the sums of the step that ends with `step`.
   bool is_measured(std::uint64_t step) const {
     const Settings& s = run_.settings_;
-    return step % ledger_interval == 0 || step % heartbeat_interval == 0 || step % s.history_interval == 0 ||
+    return step % heartbeat_interval == 0 || step % s.history_interval == 0 ||
            (s.measure.interval > 0 && step % s.measure.interval == 0);
   }
 
@@ -835,6 +835,7 @@ RunReport GrainsRun::finish() {
   r.energy_residual = m.ledger.residual_fraction();
   r.worst_vertical_imbalance = m.ledger.worst_vertical_imbalance();
   r.worst_action_reaction = m.ledger.worst_action_reaction();
+  r.coupled = coupled_;
   r.kinetic_energy = m.ledger.energies().kinetic;
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     r.momentum += m.particles.mass(b) * m.particles.velocity(b);

@@ -3,8 +3,10 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 
+#include "common/coupled_ledger.hpp"
 #include "common/scene.hpp"
 #include "protocol/channel.hpp"
 
@@ -29,16 +31,17 @@ struct RunReport {
   double ring_mismatch = 0;    // at the end of Balance, worst side ring or tip, over its tolerance [-]
   double bottom_mismatch = 0;  // at the end of Balance: bottom less weight and tip, over its tolerance [-]
   double s_over_d = 0;
-  double tip_resistance = 0;            // mean of the last history row [Pa]
-  double shaft_force = 0;               // [N]
-  Vec3 interface_force = Vec3::Zero();  // last F(n), on the continuum [N]
-  double energy_residual = 0;           // over the work done [-]
-  double worst_vertical_imbalance = 0;  // over the largest term [-]
-  double worst_action_reaction = 0;     // over the largest force sum [-]
-  double kinetic_energy = 0;            // of the grains [J]
-  Vec3 momentum = Vec3::Zero();         // [kg m/s]
-  bool is_interrupted = false;          // by the user of either side
-  std::string end;                      // the continuum's words
+  double tip_resistance = 0;             // mean of the last history row [Pa]
+  double shaft_force = 0;                // [N]
+  Vec3 interface_force = Vec3::Zero();   // last F(n), on the continuum [N]
+  double energy_residual = 0;            // over the work done [-]
+  double worst_vertical_imbalance = 0;   // over the largest term [-]
+  double worst_action_reaction = 0;      // over the largest force sum [-]
+  std::optional<CoupledLedger> coupled;  // of both sides together
+  double kinetic_energy = 0;             // of the grains [J]
+  Vec3 momentum = Vec3::Zero();          // [kg m/s]
+  bool is_interrupted = false;           // by the user of either side
+  std::string end;                       // the continuum's words
 };
 
 // Runs the session over `channel` to its end. Throws the kinds of common/checks.hpp; the peer has been told why by

@@ -1,0 +1,148 @@
+// What the interface does to force, moment, work and the step: both solvers in one process.
+#include <catch2/catch.hpp>
+#include <cmath>
+
+#include "tests/coupled/coupled_fixture.hpp"
+
+namespace lockstep::coupled {
+namespace {
+
+using Catch::Contains;
+using Overrides = std::vector<std::string>;
+
+// What both sides say when the run fails.
+struct Verdicts {
+  std::string grains, zones;
+  ExitCode grains_code = ExitCode::Success, zones_code = ExitCode::Success;
+};
+
+Verdicts verdicts(const std::string& name, const Overrides& overrides) {
+  spdlog::set_level(spdlog::level::off);
+  const SceneFile scene = read_scene(scenario(name), overrides);
+  auto [server, client] = protocol::make_loopback();
+  Verdicts v;
+  std::thread grains([&, channel = std::move(server)]() mutable {
+    try {
+      dem::run_grains(scene, std::move(channel), {});
+    } catch (const Error& e) {
+      v.grains = e.what(), v.grains_code = e.code();
+    }
+  });
+  try {
+    continuum::run_continuum(scene, {}, std::move(client), {});
+  } catch (const Error& e) {
+    v.zones = e.what(), v.zones_code = e.code();
+  }
+  grains.join();
+  spdlog::set_level(spdlog::level::warn);
+  return v;
+}
+
+// A sphere that hits the block at a slant, with friction.
+const Overrides slanting = {"grains.grain[0].velocity.x=0.7", "grains.grain[0].spin.y=4", "grains.friction=0.5",
+                            "grains.interface_friction=0.5"};
+
+Overrides with(Overrides base, const Overrides& more) {
+  base.insert(base.end(), more.begin(), more.end());
+  return base;
+}
+
+}  // namespace
+
+TEST_CASE("both sides hold the same ledger of the interface, and nothing is left over in it") {
+  const Reports r = run_in_process("impact_on_block", slanting);
+  REQUIRE(r.grains.coupled);
+  REQUIRE(r.zones.coupled);
+  const CoupledLedger& ledger = *r.grains.coupled;
+  INFO("force gap " << ledger.worst_force_gap() << ", works added " << ledger.interface_gap() / ledger.work_done()
+                    << ", residual " << ledger.residual_fraction() << " of the work done");
+  CHECK(ledger.worst_force_gap() < 1e-14);
+  CHECK(std::abs(ledger.interface_gap()) < 1e-13 * ledger.work_done());
+  CHECK(std::abs(ledger.residual_fraction()) < 1e-3);
+  CHECK(ledger.worst_force_gap() == r.zones.coupled->worst_force_gap());
+  CHECK(ledger.worst_moment_gap() == r.zones.coupled->worst_moment_gap());
+  CHECK(ledger.residual() == r.zones.coupled->residual());
+  CHECK(ledger.work_done() == r.zones.coupled->work_done());
+  CHECK((ledger.impulse() - r.zones.coupled->impulse()).norm() == 0);
+  // The impulse on the nodes is what the sphere has lost of its momentum, to the half steps at both ends.
+  const double mass = 2650 * 4.0 / 3.0 * pi * std::pow(0.05, 3);
+  const Vec3 lost = mass * Vec3(0.7, 0, -1) - r.grains.momentum;
+  CHECK((ledger.impulse() - lost).norm() < 1e-12 * lost.norm());
+}
+
+TEST_CASE("exact moment transfer leaves no moment over; eq. (13) drops a small one; the answer hardly changes") {
+  const Reports paper = run_in_process("impact_on_block", slanting);
+  const Reports exact = run_in_process("impact_on_block", with(slanting, {"coupling.moment_transfer=EXACT"}));
+  const double speed = paper.grains.momentum.norm();
+  INFO("moment gap: eq. (13) " << paper.grains.coupled->worst_moment_gap() << ", exact "
+                               << exact.grains.coupled->worst_moment_gap() << "; momentum after the impact differs by "
+                               << (paper.grains.momentum - exact.grains.momentum).norm() / speed);
+  CHECK(paper.grains.coupled->worst_moment_gap() > 1e-4);
+  CHECK(exact.grains.coupled->worst_moment_gap() < 1e-13);
+  CHECK(std::abs(exact.grains.coupled->residual_fraction()) < 1e-3);
+  CHECK((paper.grains.momentum - exact.grains.momentum).norm() < 0.01 * speed);
+  CHECK((paper.grains.momentum - exact.grains.momentum).norm() > 0);
+}
+
+TEST_CASE("a scene without a ledger runs to the same state, bit for bit") {
+  const Reports kept = run_in_process("impact_on_block", slanting);
+  const Reports none = run_in_process("impact_on_block", with(slanting, {"coupling.ledger=false"}));
+  CHECK(!none.grains.coupled);
+  CHECK(!none.zones.coupled);
+  CHECK(none.grains.state_hash == kept.grains.state_hash);
+  CHECK(none.zones.state_hash == kept.zones.state_hash);
+}
+
+TEST_CASE("a step above the limit ends the run on both sides with code 4 and the same words") {
+  const Verdicts v = verdicts("bar", {"fidelity.step_fraction=3.3", "run.duration=1"});
+  CAPTURE(v.grains, v.zones);
+  CHECK(v.grains_code == ExitCode::Numerical);
+  CHECK(v.zones_code == ExitCode::Numerical);
+  const bool is_by_grains = v.zones.find("peer gave up: ") == 0;
+  const std::string& cause = is_by_grains ? v.grains : v.zones;
+  const std::string& told = is_by_grains ? v.zones : v.grains;
+  // Either the other side was told, or it came to the same verdict by itself.
+  CHECK((told == cause || told.find(cause) != std::string::npos));
+  CHECK_THAT(cause, Contains("fidelity.step_fraction"));
+}
+
+TEST_CASE("a limit that falls is answered by a smaller step or by the end of the run, as the scene says") {
+  const Overrides shorter = {"run.duration=0.005", "apply.max_steps=500"};
+  const Reports cut = run_in_process("oedometer", shorter);
+  INFO("steps of " << cut.zones.first_time_step << " s, cut " << cut.zones.step_cuts << " times to "
+                   << cut.zones.last_time_step << " s");
+  REQUIRE(cut.zones.step_cuts > 0);
+  CHECK(cut.zones.last_time_step < cut.zones.first_time_step);
+  const Verdicts v = verdicts("oedometer", with(shorter, {"coupling.when_limit_drops=STOP"}));
+  CAPTURE(v.grains, v.zones);
+  CHECK(v.grains_code == ExitCode::Numerical);
+  CHECK(v.zones_code == ExitCode::Numerical);
+  CHECK_THAT(v.zones, Contains("coupling.when_limit_drops is STOP") && (Contains("node ") || Contains("grain ")));
+  CHECK_THAT(v.grains, Contains(v.zones));
+}
+
+TEST_CASE("several steps of the grains to one of the ground: the same weight at rest, the same impulse on both sides") {
+  // At rest the node's forces are the grain's weight, whatever they are the mean of. Sum F dt on the nodes is, to the last
+  // steps' half, what gravity has given to the grain: both sides book the same.
+  const double weight = 2650 * 4.0 / 3.0 * pi * std::pow(0.03, 3) * 9.81;
+  for (const char* interval : {"2", "5", "20"}) {
+    const Reports r = run_in_process(
+        "grain_on_block", {std::string("fidelity.exchange_interval=") + interval, "coupling.hash_interval=1"});
+    INFO(interval << " steps: force " << r.grains.interface_force.z() / weight << " of the weight, works added "
+                  << r.grains.coupled->interface_gap() / r.grains.coupled->work_done() << " of the work done, residual "
+                  << r.grains.coupled->residual_fraction());
+    CHECK(r.grains.interface_force.z() == Approx(-weight).epsilon(1e-4));
+    CHECK(r.grains.coupled->worst_force_gap() < 1e-14);
+    CHECK((r.grains.coupled->impulse() - r.zones.coupled->impulse()).norm() == 0);
+    CHECK(r.grains.coupled->work_done() > 0);
+  }
+}
+
+TEST_CASE("exchange after several steps is refused in words where it cannot be stable") {
+  CHECK_THROWS_WITH(read_scene(scenario("impact_on_block"), {"fidelity.exchange_interval=4"}),
+                    Contains("fidelity.exchange_interval") && Contains("run.damping") && Contains("0.3 or more"));
+  CHECK_THROWS_WITH(read_scene(scenario("grain_on_block"), {"fidelity.exchange_interval=4", "continuum.dynamic=true"}),
+                    Contains("continuum.dynamic"));
+}
+
+}  // namespace lockstep::coupled
