@@ -170,7 +170,7 @@ Settings read_settings(const SceneFile& file) {
   r.equilibrium.damping = c.initial_damping();
   r.equilibrium.tolerance = c.equilibrium_tolerance();
   r.equilibrium.max_cycles = c.equilibrium_max_cycles();
-  r.equilibrium.step_fraction = s.fidelity().step_fraction();
+  r.equilibrium.step_fraction = std::min(1.0, s.fidelity().step_fraction());
   r.equilibrium.is_solved = c.equilibrium() == scene::Continuum::SOLVE;
   r.equilibrium.scales_density = s.fidelity().density_scaling();
 

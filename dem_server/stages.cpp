@@ -16,6 +16,7 @@
 #include "dem_server/output.hpp"
 #include "dem_server/packing.hpp"
 #include "dem_server/packing_file.hpp"
+#include "dem_server/reversal.hpp"
 #include "dem_server/servo.hpp"
 #include "dem_server/settings.hpp"
 #include "protocol/session.hpp"
@@ -391,7 +392,7 @@ BottomBalance GrainsRun::bottom_balance(const Servo& servo) const {
 // back sooner than the limit is looked at again.
 double GrainsRun::renew_step() {
   balance_limit_ = std::min(balance_limit_, stable_step(*model_, settings_.balance.damping).step);
-  return settings_.step_fraction * balance_limit_;
+  return std::min(1.0, settings_.step_fraction) * balance_limit_;
 }
 
 // The cut leaves grains pressed into walls and pile: they are let go without gravity and friction, at limited speed.
@@ -631,6 +632,7 @@ class GrainsRun::Peer : public Boundary {
   // After the cycle, while the message is on its way.
   void take_stock(Model& m) {
     if (m.detail == Detail::All) ratio_ = unbalanced_ratio(m);
+    if (m.damping > 0) watch_reversal(m);
     if (m.step % limit_interval == 0) {
       const StepLimit now = stable_step(m, run_.settings_.step_damping);
       if (now.step < limit_.step) limit_ = now;
@@ -714,6 +716,18 @@ class GrainsRun::Peer : public Boundary {
     if (const std::string words = coupled_->alarm(); !words.empty()) throw NumericalError(words);
   }
 
+  void watch_reversal(const Model& m) {
+    reversal_.observe(m.step, m.particles);
+    if (reversal_.is_alarming() && ratio_ > Reversal::least_unbalanced_ratio)
+      throw NumericalError(
+          fmt::format("step {}: the grains' accelerations turn from each step to the next (share {:.2f} over {} looks, "
+                      "where motion that "
+                      "the steps follow has -0.6 and below; unbalanced ratio {:.1e}): the packing shivers instead of "
+                      "resting; lower "
+                      "fidelity.step_fraction (now {})",
+                      m.step, reversal_.mean_share(), Reversal::reversal_looks, ratio_, run_.settings_.step_fraction));
+  }
+
   // Node stiffness travels when one has grown by a tenth beyond what the peer knows.
   void tell_stiffness(const Model& m) {
     const std::vector<double>& now = m.facets.node_stiffness();
@@ -738,6 +752,7 @@ class GrainsRun::Peer : public Boundary {
   protocol::Forces forces_;
   std::optional<Energies> energies_;  // at the end of the last exchange
   double ratio_ = 1;
+  Reversal reversal_;
   StepLimit limit_;  // as of the last renewal
 };
 

@@ -106,6 +106,18 @@ TEST_CASE("a step above the limit ends the run on both sides with code 4 and the
   CHECK_THAT(cause, Contains("fidelity.step_fraction"));
 }
 
+TEST_CASE("a packing that a long step liquefies in silence is told from one at rest") {
+  // At 1.2 of the bound nothing is infinite and the energies balance, but the packing never comes to rest: with the step within
+  // the bound it has an unbalanced ratio below 3e-3 after as many steps.
+  const Overrides shorter = {"run.duration=0.005", "apply.max_steps=500"};
+  const Verdicts v = verdicts("oedometer", with(shorter, {"fidelity.step_fraction=1.2"}));
+  CAPTURE(v.grains, v.zones);
+  CHECK(v.grains_code == ExitCode::Numerical);
+  CHECK(v.zones_code == ExitCode::Numerical);
+  CHECK_THAT(v.grains, Contains("shivers instead of resting") && Contains("fidelity.step_fraction"));
+  CHECK_THAT(v.zones, Contains(v.grains));
+}
+
 TEST_CASE("a limit that falls is answered by a smaller step or by the end of the run, as the scene says") {
   const Overrides shorter = {"run.duration=0.005", "apply.max_steps=500"};
   const Reports cut = run_in_process("oedometer", shorter);

@@ -1,0 +1,44 @@
+// Whether the grains' accelerations turn from one step to the next: the sign of a step that follows the contacts no more.
+//
+// A packing whose step is a little too long does not explode: friction and lost contacts bound the motion, local damping takes
+// what grows, and what is left is a packing that shivers, carries less and creeps ("silent liquefaction"). No number is
+// infinite, and the energies balance. But the modes that grow turn sign in each step, so that successive changes of velocity are
+// opposite, where those of a motion that is followed are alike:
+//   share = - sum m a(n) . a(n-1) / sum m |a|^2,
+// in the mean (omega dt)^2 / 2 - 1 for a mode of omega: -1 for slow motion, 1 for modes at the limit and above. Packings and
+// piles within the limit show -0.99 to -0.67, packings at 1.1 to 1.5 of the bound 0.4 to 0.99 (the README's table).
+//
+// It says nothing where nothing is damped: there a mode near the limit may live for ever and be followed, if badly; energies
+// tell of its growth (common/coupled_ledger.hpp). Nor at rest to round-off, where noise turns as it likes.
+#pragma once
+#include <cstdint>
+
+#include "common/vectors.hpp"
+#include "dem_server/particles.hpp"
+
+namespace lockstep::dem {
+
+class Reversal {
+ public:
+  // After each step. Looks at three steps of reversal_interval, the last of which is a multiple of it.
+  void observe(std::uint64_t step, const Particles& particles);
+  // Mean share of the last reversal_looks looks; -1 before there were as many.
+  double mean_share() const { return looks_ < reversal_looks ? -1.0 : mean_; }
+  bool is_alarming() const { return mean_share() > alarming_reversal; }
+
+  static constexpr std::uint32_t reversal_interval = 25;  // steps: with the next one an alarm within 100 of the onset
+  static constexpr int reversal_looks = 4;
+  static constexpr double alarming_reversal = 0.25;
+  // Of mean unbalanced over mean contact force: motion below it is no sign of anything.
+  static constexpr double least_unbalanced_ratio = 1e-6;
+
+ private:
+  void add(double share);
+
+  Vec3s before_, change_;  // velocity two steps ago, and what the next step added [m/s]
+  double last_[reversal_looks] = {};
+  int looks_ = 0;
+  double mean_ = -1;
+};
+
+}  // namespace lockstep::dem
