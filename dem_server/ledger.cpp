@@ -32,7 +32,7 @@ void Ledger::book_energy(const Model& m) {
 
   const Vec3s& force = m.facets.nodal_force();
   if (!has_last_) {
-    start_ = now_.kinetic + now_.elastic;
+    start_ = now_;
   } else {
     double interface = 0;  // on the grains: minus that on the nodes
     const Vec3s& velocity = m.facets.velocity();
@@ -53,7 +53,7 @@ void Ledger::book_energy(const Model& m) {
   last_boundary_ = boundary;
   last_nodal_force_ = force;
   residual_ =
-      now_.kinetic + now_.elastic - start_ -
+      now_.kinetic + now_.elastic - (start_.kinetic + start_.elastic) -
       (now_.gravity_work + now_.boundary_work + now_.interface_work - now_.damped - now_.friction - now_.dashpots);
 }
 

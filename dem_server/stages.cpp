@@ -9,6 +9,7 @@
 #include "common/checks.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
+#include "common/packet.hpp"
 #include "dem_server/constants.hpp"
 #include "dem_server/cycle.hpp"
 #include "dem_server/output.hpp"
@@ -639,6 +640,10 @@ void GrainsRun::begin_apply() {
   m.step = 0;
   m.last_time_step = 0;
   m.ledger.restart();
+  if (settings_.packet)
+    for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+      if (m.is_fixed.empty() || !m.is_fixed[b])
+        m.particles.velocity(b) += packet_velocity(*settings_.packet, m.particles.position(b));
   output_.snapshot(m, settings_);
 }
 
@@ -720,6 +725,8 @@ RunReport GrainsRun::finish() {
   r.worst_vertical_imbalance = m.ledger.worst_vertical_imbalance();
   r.worst_action_reaction = m.ledger.worst_action_reaction();
   r.kinetic_energy = m.ledger.energies().kinetic;
+  r.start_energies = m.ledger.start();
+  r.energies = m.ledger.energies();
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     r.momentum += m.particles.mass(b) * m.particles.velocity(b);
   r.end = end_;

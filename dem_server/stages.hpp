@@ -6,6 +6,7 @@
 #include <string>
 
 #include "common/scene.hpp"
+#include "dem_server/ledger.hpp"
 #include "protocol/channel.hpp"
 
 namespace lockstep::dem {
@@ -36,6 +37,8 @@ struct RunReport {
   double worst_vertical_imbalance = 0;  // over the largest term [-]
   double worst_action_reaction = 0;     // over the largest force sum [-]
   double kinetic_energy = 0;            // of the grains [J]
+  GrainEnergies start_energies;         // kinetic and elastic, at the first step
+  GrainEnergies energies;               // at the last step
   Vec3 momentum = Vec3::Zero();         // [kg m/s]
   bool is_interrupted = false;          // by the user of either side
   std::string end;                      // the continuum's words
