@@ -381,10 +381,9 @@ void check_grains(const SceneFile& file) {
         fmt::format("{} = {} m is no less than grains.lattice.radius = {} m; an overlap is a small part of a radius",
                     file.where("grains.lattice.overlap"), grains.lattice().overlap(), grains.lattice().radius()));
   if (grains.has_lattice() && grains.lattice().side_overlap() >= grains.lattice().radius())
-    throw InputError(
-        fmt::format("{} = {} m is no less than grains.lattice.radius = {} m; an overlap is a small part of a radius",
-                    file.where("grains.lattice.side_overlap"), grains.lattice().side_overlap(),
-                    grains.lattice().radius()));
+    throw InputError(fmt::format(
+        "{} = {} m is no less than grains.lattice.radius = {} m; an overlap is a small part of a radius",
+        file.where("grains.lattice.side_overlap"), grains.lattice().side_overlap(), grains.lattice().radius()));
   if (!grains.has_packing()) return;
 
   const scene::Packing& packing = grains.packing();

@@ -55,8 +55,8 @@ struct Ledger {
   // Kinetic plus elastic energy less that of the start and all work done: a constant, zero for a ledger that starts in
   // the reference state [J].
   double residual() const {
-    return kinetic + elastic - start - work.gravity - work.boundary - work.interface - work.baseline - work.step_change +
-           work.damped;
+    return kinetic + elastic - start - work.gravity - work.boundary - work.interface - work.baseline -
+           work.step_change + work.damped;
   }
 };
 

@@ -88,10 +88,9 @@ PileSettings pile_of(const SceneFile& file) {
 }
 
 LatticeSettings lattice_of(const scene::Lattice& from) {
-  return {from.count_x(),      from.count_y(),      from.count_z(),
-          from.radius(),       from.overlap(),      from.bottom(),
-          from.fix_top(),      from.pulse_velocity(), from.pulse_length(),
-          from.pulse_center(), from.side_overlap(), from.hold_spins()};
+  return {from.count_x(),      from.count_y(),      from.count_z(),      from.radius(),
+          from.overlap(),      from.bottom(),       from.fix_top(),      from.pulse_velocity(),
+          from.pulse_length(), from.pulse_center(), from.side_overlap(), from.hold_spins()};
 }
 
 MeasureSettings measure_of(const SceneFile& file) {

@@ -78,8 +78,7 @@ EnergyShares energy_shares(const InterfaceModel& m, Side from, double wave_numbe
   double flux_up = 0;
   for (int k = 0; k < n; ++k)
     if (std::abs(std::abs(up[k]) - 1) < 1e-12) flux_up += n * m.spring * up[k].imag() * std::norm(out[k]);
-  const double flux_down =
-      std::abs(std::abs(down) - 1) < 1e-12 ? -m.layer_next * down.imag() * std::norm(out[n]) : 0.0;
+  const double flux_down = std::abs(std::abs(down) - 1) < 1e-12 ? -m.layer_next * down.imag() * std::norm(out[n]) : 0.0;
   if (from == Side::Grains) {
     const double in = n * m.spring * up[0].imag();
     return {flux_up / in, flux_down / in};

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "common/checks.hpp"
 #include "common/packet.hpp"
 #include "common/scene.hpp"
 
@@ -14,17 +15,18 @@ namespace lockstep {
 namespace {
 
 // A sphere of 0.1 m, as in scenarios/bar. Results are ratios and depend on none of these.
-constexpr double radius = 0.05;             // [m]
-constexpr double grain_density = 2650;      // [kg/m3]
-constexpr double contact_modulus = 70e6;    // [Pa]
-constexpr double stiffness_ratio = 2;       // k_n / k_s
-constexpr double facet_factor = 2;          // contact of grain and zone: half a pitch of lattice in series
+constexpr double radius = 0.05;           // [m]
+constexpr double grain_density = 2650;    // [kg/m3]
+constexpr double contact_modulus = 70e6;  // [Pa]
+constexpr double stiffness_ratio = 2;     // k_n / k_s
+constexpr double facet_factor = 2;        // contact of grain and zone: half a pitch of lattice in series
 constexpr double poisson_ratio = 0.3;
 // Overlaps that a packet's strain, 4e-7 of a pitch, leaves closed, and that are small: the normal force F of the preload
 // takes F/d off the shear stiffness.
-constexpr double overlap = 2e-7;            // [m]
-constexpr double peak_velocity = 1e-4;      // [m/s]
-constexpr double periods = 8;               // of the cosine in the hump
+constexpr double overlap = 2e-7;        // [m]
+constexpr double peak_velocity = 1e-4;  // [m/s]
+// Waves in the hump. The share of waves that hardly travel along z falls with it; oblique ones, slow already, need more.
+constexpr double periods = 8, oblique_periods = 12;
 
 constexpr double pitch = 2 * radius - overlap;  // in all directions
 
@@ -42,7 +44,14 @@ int zones_across(const ReflectionCase& c) {
   return std::max(1, static_cast<int>(std::lround(0.5 * c.zones_per_wave / std::sin(c.angle))));
 }
 double sine_of_angle(const ReflectionCase& c) {
-  return c.kind == WaveKind::Oblique ? 0.5 * c.zones_per_wave / zones_across(c) : 0.0;
+  if (c.kind != WaveKind::Oblique) return 0;
+  const double sine = 0.5 * c.zones_per_wave / zones_across(c);
+  if (!(sine < 1))
+    throw InputError(
+        fmt::format("angle {:.3g}, {} zones a wave: a strip of {} whole zones has no such wave; give a longer wave or "
+                    "another angle",
+                    c.angle, c.zones_per_wave, zones_across(c)));
+  return sine;
 }
 double wave_number_along(const ReflectionCase& c) {
   const double sine = sine_of_angle(c);
@@ -61,7 +70,7 @@ Layout layout(const ReflectionCase& c) {
   const InterfaceModel m = interface_model(c);
   const double k = wave_number_along(c), limit = pi / (c.from == Side::Grains ? m.pitch : m.height);
   Layout l;
-  l.length = c.is_hump ? wavelength(c) : periods * 2 * pi / k;
+  l.length = c.is_hump ? wavelength(c) : (c.kind == WaveKind::Oblique ? oblique_periods : periods) * 2 * pi / k;
   const double margin = std::max(4 * zone_size(c), 0.5 * wavelength(c));
   l.center = margin + 0.5 * l.length;
   // The hump's spectrum has its first zero 4 pi / length off the middle, and a few percent of amplitude beyond.
@@ -123,8 +132,8 @@ InterfaceModel interface_model(const ReflectionCase& c) {
   m.side_spring = c.kind == WaveKind::Oblique ? m.spring : 0.0;
   m.contact = facet_factor * m.spring;
   m.height = h;
-  const double modulus = c.impedance_ratio * m.spring / pitch;                        // C [Pa]
-  const double density = c.impedance_ratio * m.mass / (pitch * pitch * pitch);        // [kg/m3]
+  const double modulus = c.impedance_ratio * m.spring / pitch;                  // C [Pa]
+  const double density = c.impedance_ratio * m.mass / (pitch * pitch * pitch);  // [kg/m3]
   const double width = m.columns * pitch;
   m.row_mass = density * width * pitch * h;
   m.wave_number_across = c.kind == WaveKind::Oblique ? pi / (zones_across(c) * h) : 0.0;
@@ -174,7 +183,8 @@ std::string scene_text(const ReflectionCase& c) {
       text += fmt::format("plane {{ point {{ x: {} }} normal {{ x: {} }} }}\n",
                           side * (0.5 * (columns - 1) * pitch + radius - overlap), -side);
   text += fmt::format(
-      "packet {{ velocity {{ y: {} z: {} }} center {{ x: {} z: {} }} length: {} wavelength: {} wavelength_across: {} }}\n"
+      "packet {{ velocity {{ y: {} z: {} }} center {{ x: {} z: {} }} length: {} wavelength: {} wavelength_across: {} "
+      "}}\n"
       "balance {{ servo: NONE max_cycles: 0 }}\n"
       "apply {{ baseline: HOLD max_steps: 0 }}\n"
       "run {{ duration: {} damping: 0 }}\n"
@@ -182,6 +192,12 @@ std::string scene_text(const ReflectionCase& c) {
       p.velocity().y(), p.velocity().z(), p.center().x(), p.center().z(), p.length(), p.wavelength(),
       p.wavelength_across(), l.duration, c.step_fraction);
   return text;
+}
+
+double work_of(const ReflectionCase& c) {
+  const Layout l = layout(c);
+  const int across = zones_across(c), columns = c.kind == WaveKind::Oblique ? across * c.grains_per_zone : 1;
+  return l.duration * (columns * l.rows_of_grains + across * l.rows_of_zones);
 }
 
 ReflectionResult exact_reflection(const ReflectionCase& c) {

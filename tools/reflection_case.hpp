@@ -41,26 +41,29 @@ struct ReflectionCase {
   int grains_per_zone = 1;     // h/d
   double zones_per_wave = 10;  // wavelength over h; of a hump its length
   double impedance_ratio = 1;  // zones over grains
-  double angle = 0;            // wanted, between the wave's way and the normal; the strip's width decides [rad]
-  bool is_hump = false;        // the bounding hump alone
+  double angle = 0;      // of the wave's way to the normal; met where zones_per_wave / 2 sin(angle) is whole [rad]
+  bool is_hump = false;  // the bounding hump alone
   double step_fraction = 0.5;  // of the stable step
 };
 
 struct ReflectionResult {
-  double angle = 0;          // as it is, of the long wave [rad]
-  EnergyShares exact;        // of the packet
-  EnergyShares at_center;    // of its middle wave number alone; of a hump: none
-  EnergyShares measured;     // in the run
-  double created = 0;        // over the energy that comes in
-  double ground_speed = 0;   // of long waves [m/s]
+  double angle = 0;         // as it is, of the long wave [rad]
+  EnergyShares exact;       // of the packet
+  EnergyShares at_center;   // of its middle wave number alone; of a hump: none
+  EnergyShares measured;    // in the run
+  double created = 0;       // over the energy that comes in
+  double ground_speed = 0;  // of long waves [m/s]
   std::uint64_t steps = 0;
   std::size_t grains = 0, zones = 0;
-  double seconds = 0;        // wall clock
+  double seconds = 0;  // wall clock
 };
 
 // The model that interface_waves.hpp solves for this case, and the scene that both programs read.
 InterfaceModel interface_model(const ReflectionCase& c);
 std::string scene_text(const ReflectionCase& c);
+
+// Grains and zones times seconds of its run: what its wall time goes with.
+double work_of(const ReflectionCase& c);
 
 ReflectionResult exact_reflection(const ReflectionCase& c);
 // Runs it. Throws as the two programs do.

@@ -34,9 +34,12 @@ TEST_CASE("the exact answer at an interface loses no energy") {
       for (const int size : {1, 2, 3})
         for (const double ratio : {0.25, 1.0, 4.0})
           for (const double wave : {4.0, 6.0, 20.0, 100.0}) {
-            const ReflectionResult r =
-                exact_reflection({.kind = kind, .from = from, .grains_per_zone = size, .zones_per_wave = wave,
-                                  .impedance_ratio = ratio, .angle = pi / 4});
+            const ReflectionResult r = exact_reflection({.kind = kind,
+                                                         .from = from,
+                                                         .grains_per_zone = size,
+                                                         .zones_per_wave = wave,
+                                                         .impedance_ratio = ratio,
+                                                         .angle = pi / 4});
             worst = std::max(worst, std::abs(r.at_center.reflected + r.at_center.transmitted - 1));
           }
   CAPTURE(worst);
