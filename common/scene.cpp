@@ -380,6 +380,10 @@ void check_grains(const SceneFile& file) {
     throw InputError(
         fmt::format("{} = {} m is no less than grains.lattice.radius = {} m; an overlap is a small part of a radius",
                     file.where("grains.lattice.overlap"), grains.lattice().overlap(), grains.lattice().radius()));
+  if (grains.has_lattice() && grains.lattice().side_overlap() >= grains.lattice().radius())
+    throw InputError(fmt::format(
+        "{} = {} m is no less than grains.lattice.radius = {} m; an overlap is a small part of a radius",
+        file.where("grains.lattice.side_overlap"), grains.lattice().side_overlap(), grains.lattice().radius()));
   if (!grains.has_packing()) return;
 
   const scene::Packing& packing = grains.packing();
@@ -485,6 +489,11 @@ void check_consistency(const SceneFile& file) {
   if (s.has_grains()) check_grains(file);
   if (s.has_pile()) check_pile(file);
   check_exchange(file);
+  if (s.has_packet() && s.has_grains() && s.apply().max_steps() > 0)
+    throw InputError(
+        fmt::format("{}: the packet starts with the stage Apply, which damps what moves; give apply.max_steps = 0 (now "
+                    "{}), or leave out the packet",
+                    file.where("packet"), s.apply().max_steps()));
   for (int i = 0; i < s.plane_size(); ++i) {
     const scene::Point& normal = s.plane(i).normal();
     if (normal.x() == 0 && normal.y() == 0 && normal.z() == 0)

@@ -13,12 +13,13 @@
 
 namespace lockstep::continuum {
 
-Vec3s free_components(const Grid& grid, Supports supports, const std::vector<double>& mass) {
+Vec3s free_components(const Grid& grid, Supports supports, const std::vector<double>& mass,
+                      const Vec3& is_free_direction) {
   const double tolerance = plane_tolerance * (grid.high - grid.low).maxCoeff();
   const auto on_side = [&](const Vec3& x, int axis) {
     return std::abs(x[axis] - grid.low[axis]) <= tolerance || std::abs(x[axis] - grid.high[axis]) <= tolerance;
   };
-  Vec3s is_free(grid.node_count(), Vec3::Ones());
+  Vec3s is_free(grid.node_count(), is_free_direction);
   for (std::size_t i = 0; i < grid.node_count(); ++i) {
     const Vec3& x = grid.node[i];
     const bool on_x = on_side(x, 0), on_y = on_side(x, 1), on_bottom = std::abs(x.z() - grid.low.z()) <= tolerance;

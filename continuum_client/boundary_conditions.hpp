@@ -11,8 +11,10 @@
 
 namespace lockstep::continuum {
 
-// Per node and component 1 where it is free and 0 where it is held. Nodes without mass are held.
-Vec3s free_components(const Grid& grid, Supports supports, const std::vector<double>& mass);
+// Per node and component 1 where it is free and 0 where it is held. Nodes without mass are held, and all nodes in the
+// directions where `is_free_direction` is 0.
+Vec3s free_components(const Grid& grid, Supports supports, const std::vector<double>& mass,
+                      const Vec3& is_free_direction = Vec3::Ones());
 
 // Loads that stand in for supports that are taken away: the reaction f_int - f_ext of each component that was held in
 // `before` and is free in `after`, zero elsewhere; empty if there is none [N].

@@ -59,8 +59,10 @@ Integrator::Integrator(std::vector<double> mass, Vec3s is_free, Vec3s dashpot, I
     if (mass_[i] > 0) mobility_[i] = is_free_[i] / mass_[i];
 }
 
-void Integrator::clear_ledger() {
+void Integrator::start_ledger(const Motion& motion) {
   ledger_ = {};
+  for (std::size_t i = 0; i < motion.velocity.size(); ++i)
+    ledger_.start += 0.5 * mass_[i] * motion.velocity[i].squaredNorm();
   rest_ = {};
 }
 

@@ -48,14 +48,15 @@ struct Work {
 
 struct Ledger {
   Work work;           // up to n
+  double start = 0;    // kinetic energy at n = 0 [J]
   double kinetic = 0;  // at n [J]
   double elastic = 0;  // at n, from the reference state: u . (f0 + K u / 2) [J]
 
-  // Kinetic plus elastic energy less all work done: a constant, zero for a ledger that starts at rest in the reference
-  // state [J].
+  // Kinetic plus elastic energy less that of the start and all work done: a constant, zero for a ledger that starts in
+  // the reference state [J].
   double residual() const {
-    return kinetic + elastic - work.gravity - work.boundary - work.interface - work.baseline - work.step_change +
-           work.damped;
+    return kinetic + elastic - start - work.gravity - work.boundary - work.interface - work.baseline -
+           work.step_change + work.damped;
   }
 };
 
@@ -108,8 +109,8 @@ class Integrator {
   const Ledger& ledger() const { return ledger_; }
   // Elastic energy at n where u . (f0 + K u / 2) is not it [J].
   void set_elastic(double energy) { ledger_.elastic = energy; }
-  // Starts the ledger anew.
-  void clear_ledger();
+  // Starts the ledger anew, at a motion from the reference state where no force acts yet.
+  void start_ledger(const Motion& motion);
 
  private:
   std::vector<double> mass_;  // [kg]

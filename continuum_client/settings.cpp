@@ -167,6 +167,8 @@ Settings read_settings(const SceneFile& file) {
   r.gravity = s.gravity();
   r.initial_supports = to_supports(c.initial_supports());
   r.supports = to_supports(c.supports());
+  r.is_free_direction = {c.held().x() ? 0.0 : 1.0, c.held().y() ? 0.0 : 1.0, c.held().z() ? 0.0 : 1.0};
+  if (s.has_packet()) r.packet = s.packet();
   r.equilibrium.damping = c.initial_damping();
   r.equilibrium.tolerance = c.equilibrium_tolerance();
   r.equilibrium.max_cycles = c.equilibrium_max_cycles();

@@ -62,6 +62,8 @@ struct Settings {
   double gravity = 0;  // downwards [m/s2]
   Supports initial_supports = Supports::Rollers;
   Supports supports = Supports::AllFixed;
+  Vec3 is_free_direction = Vec3::Ones();  // 0: no node moves there
+  std::optional<scene::Packet> packet;    // velocities at the start
 
   EquilibriumSettings equilibrium;
 

@@ -12,6 +12,7 @@
 #include "common/hash.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
+#include "common/packet.hpp"
 #include "continuum_client/boundary_conditions.hpp"
 #include "continuum_client/constants.hpp"
 #include "continuum_client/grid_builder.hpp"
@@ -151,7 +152,7 @@ class Stages {
     beat("assembling the ground", 0);
     stiffness_ = assemble_stiffness(grid);
     mass_ = lumped_masses(grid);
-    is_free_ = free_components(grid, settings_.initial_supports, mass_);
+    is_free_ = free_components(grid, settings_.initial_supports, mass_, settings_.is_free_direction);
     ground_.gravity = Vec3(0, 0, -settings_.gravity);
     beat("looking for equilibrium", 0);
     if (settings_.k0) initial_.stress = stress_by_depth(grid, settings_.layers, *settings_.k0, settings_.gravity);
@@ -343,7 +344,7 @@ class Stages {
       const Vec3s prescribed = prescribed_force(ground_.grid, initial_, is_left_);
       for (std::size_t i = 0; i < count; ++i) force.reference[i] += prescribed[i];
     }
-    const Vec3s after = free_components(ground_.grid, settings_.supports, mass_);
+    const Vec3s after = free_components(ground_.grid, settings_.supports, mass_, settings_.is_free_direction);
     Vec3s weight(count);
     for (std::size_t i = 0; i < count; ++i) weight[i] = mass_[i] * ground_.gravity;
     ground_.reaction_load = released_reactions(is_free_, after, force.reference, weight);
@@ -374,6 +375,9 @@ class Stages {
     for (const SurfaceLoad& load : settings_.loads)
       ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
     ground_.motion = {Vec3s(count, Vec3::Zero()), Vec3s(count, Vec3::Zero())};
+    if (settings_.packet)
+      for (std::size_t i = 0; i < count; ++i)
+        ground_.motion.velocity[i] = after[i].cwiseProduct(packet_velocity(*settings_.packet, ground_.grid.node[i]));
     ground_.internal = ground_.last_internal = force.reference;
     ground_.hash_interval = settings_.hash_interval;
     gather_interface(ground_.interface, ground_.motion.velocity, ground_.outgoing.velocity);
@@ -415,7 +419,7 @@ class Stages {
     ground_.step_sizes = {time_step, time_step};
     ground_.guard.logged_step = time_step;
     ground_.sums = {};
-    ground_.integrator.clear_ledger();
+    ground_.integrator.start_ledger(ground_.motion);
     if (peer_ && settings_.keeps_ledger) ground_.coupled.emplace(settings_.stop_if_energy_error);
     report_.first_time_step = time_step;
   }

@@ -22,6 +22,9 @@ inline constexpr double cells_per_pebble = 4;
 // Moment of inertia of a sphere over m R^2.
 inline constexpr double sphere_inertia = 0.4;
 
+// The same of a sphere whose spin is held: it turns 4e-13 of what a free one would, and rotational energy is a number still.
+inline constexpr double held_inertia = 1e12;
+
 // Where the records behind the last one stand: its square is still a number [m].
 inline constexpr double far_away = 1e150;
 

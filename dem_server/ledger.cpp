@@ -64,8 +64,8 @@ void Ledger::book_energy(const Model& m) {
   const double balance =
       now_.kinetic + now_.elastic -
       (now_.gravity_work + now_.boundary_work + now_.interface_work - now_.damped - now_.friction - now_.dashpots);
-  if (!std::exchange(has_start_, true)) start_ = balance;
-  residual_ = balance - start_;
+  if (!std::exchange(has_start_, true)) start_ = now_, start_balance_ = balance;
+  residual_ = balance - start_balance_;
 }
 
 void Ledger::book_momentum(const Model& m) {

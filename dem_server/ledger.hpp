@@ -44,6 +44,8 @@ class Ledger {
   }
 
   const GrainEnergies& energies() const { return now_; }
+  // Kinetic and elastic, at the first booking.
+  const GrainEnergies& start() const { return start_; }
   double residual() const { return residual_; }  // at t_n [J]
   double work_done() const {
     return work_done_;
@@ -62,7 +64,8 @@ class Ledger {
   void book_momentum(const Model& model);
 
   GrainEnergies now_;
-  double start_ = 0;
+  GrainEnergies start_;
+  double start_balance_ = 0;  // [J]
   bool has_start_ = false;
   double residual_ = 0, work_done_ = 0;                            // [J]
   double imbalance_ = 0, worst_imbalance_ = 0, largest_term_ = 0;  // [N]

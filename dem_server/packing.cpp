@@ -162,8 +162,9 @@ Assembly assemble_packing(const Settings& s, double ground_density, const Heartb
 // Equal spheres on a cubic lattice. A pulse v(z) that travels down a chain of wave speed c carries the displacement
 // u(z) = (1/c) int_{-inf}^z v dz' with it (u = f(z + c t) and u_t = v give f' = v/c; the chain below is still at rest).
 void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
-  const ClumpTemplate sphere = make_clump(1, 1);
-  const double pitch = 2 * l.radius - l.overlap;
+  ClumpTemplate sphere = make_clump(1, 1);
+  if (l.holds_spins) sphere.inertia_per_mass.setConstant(held_inertia);
+  const double pitch = 2 * l.radius - l.overlap, side_pitch = 2 * l.radius - l.side_overlap;
   const double floor_overlap = l.overlap / s.facet_stiffness_factor;  // the same force in facet and pair
   const double mass = s.density * 4.0 / 3.0 * pi * std::pow(l.radius, 3);
   const double speed = pitch * std::sqrt(s.material.contact_modulus * 2 * l.radius / mass);
@@ -174,8 +175,8 @@ void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
   for (std::uint32_t k = 0; k < l.count_z; ++k)
     for (std::uint32_t j = 0; j < l.count_y; ++j)
       for (std::uint32_t i = 0; i < l.count_x; ++i) {
-        const double x = (i - 0.5 * (l.count_x - 1)) * 2 * l.radius;
-        const double y = (j - 0.5 * (l.count_y - 1)) * 2 * l.radius;
+        const double x = (i - 0.5 * (l.count_x - 1)) * side_pitch;
+        const double y = (j - 0.5 * (l.count_y - 1)) * side_pitch;
         const double z = l.bottom + l.radius - floor_overlap + k * pitch;
         const double t = (z - l.pulse_center) / l.pulse_length;
         const double velocity = std::abs(t) < 0.5 ? l.pulse_velocity * 0.5 * (1 + std::cos(2 * pi * t)) : 0.0;

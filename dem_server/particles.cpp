@@ -25,8 +25,7 @@ void push(std::vector<Record>& records, const Record& value) {
 }  // namespace
 
 bool ClumpTemplate::is_sphere() const {
-  return pebble_center.size() == 1 && pebble_center[0].isZero(0) && inertia_per_mass[0] == inertia_per_mass[1] &&
-         inertia_per_mass[1] == inertia_per_mass[2];
+  return pebble_center.size() == 1 && pebble_center[0].isZero(0) && inertia_per_mass == Vec3::Constant(sphere_inertia);
 }
 
 Particles::Particles() : bodies_{nowhere}, motion_{nothing}, loads_{LoadRecord{}} {}

@@ -88,8 +88,9 @@ PileSettings pile_of(const SceneFile& file) {
 }
 
 LatticeSettings lattice_of(const scene::Lattice& from) {
-  return {from.count_x(), from.count_y(), from.count_z(),        from.radius(),       from.overlap(),
-          from.bottom(),  from.fix_top(), from.pulse_velocity(), from.pulse_length(), from.pulse_center()};
+  return {from.count_x(),      from.count_y(),      from.count_z(),      from.radius(),
+          from.overlap(),      from.bottom(),       from.fix_top(),      from.pulse_velocity(),
+          from.pulse_length(), from.pulse_center(), from.side_overlap(), from.hold_spins()};
 }
 
 MeasureSettings measure_of(const SceneFile& file) {
@@ -306,6 +307,7 @@ Settings make_settings(const SceneFile& file) {
           file.where("grains.packing.porosity"), s.packing->porosity, s.pebbles, s.elongation, range.low, range.high));
   }
   if (grains.has_lattice()) s.lattice = lattice_of(grains.lattice());
+  if (scene.has_packet()) s.packet = scene.packet();
   for (const scene::Grain& g : grains.grain())
     s.grains.push_back({to_vector(g.center()), to_vector(g.velocity()), to_vector(g.spin()), g.radius(), g.is_clump()});
   if (scene.has_pile()) s.pile = pile_of(file);

@@ -52,6 +52,8 @@ struct LatticeSettings {
   double pulse_velocity = 0;  // [m/s]
   double pulse_length = 0;    // [m]
   double pulse_center = 0;    // [m]
+  double side_overlap = 0;    // [m]
+  bool holds_spins = false;
 };
 
 struct GrainSettings {
@@ -128,6 +130,7 @@ struct Settings {
 
   std::optional<PackingSettings> packing;
   std::optional<LatticeSettings> lattice;
+  std::optional<scene::Packet> packet;  // velocities at the start
   std::vector<GrainSettings> grains;
   std::optional<PileSettings> pile;
   std::vector<PlaneSettings> planes;            // of `plane` blocks, and the sides of a box

@@ -11,6 +11,7 @@
 #include "common/coupled_limit.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
+#include "common/packet.hpp"
 #include "dem_server/constants.hpp"
 #include "dem_server/cycle.hpp"
 #include "dem_server/output.hpp"
@@ -769,6 +770,10 @@ void GrainsRun::begin_apply() {
   m.ledger.restart();
   m.ledger.is_kept = settings_.keeps_ledger;
   if (settings_.keeps_ledger) coupled_.emplace(settings_.stop_if_energy_error);
+  if (settings_.packet)
+    for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+      if (m.is_fixed.empty() || !m.is_fixed[b])
+        m.particles.velocity(b) += packet_velocity(*settings_.packet, m.particles.position(b));
   output_.snapshot(m, settings_);
 }
 
@@ -852,6 +857,8 @@ RunReport GrainsRun::finish() {
   r.worst_action_reaction = m.ledger.worst_action_reaction();
   r.coupled = coupled_;
   r.kinetic_energy = m.ledger.energies().kinetic;
+  r.start_energies = m.ledger.start();
+  r.energies = m.ledger.energies();
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     r.momentum += m.particles.mass(b) * m.particles.velocity(b);
   r.end = end_;

@@ -8,6 +8,7 @@
 
 #include "common/coupled_ledger.hpp"
 #include "common/scene.hpp"
+#include "dem_server/ledger.hpp"
 #include "protocol/channel.hpp"
 
 namespace lockstep::dem {
@@ -39,6 +40,8 @@ struct RunReport {
   double worst_action_reaction = 0;      // over the largest force sum [-]
   std::optional<CoupledLedger> coupled;  // of both sides together
   double kinetic_energy = 0;             // of the grains [J]
+  GrainEnergies start_energies;          // kinetic and elastic, at the first step
+  GrainEnergies energies;                // at the last step whose energies were summed up
   Vec3 momentum = Vec3::Zero();          // [kg m/s]
   bool is_interrupted = false;           // by the user of either side
   std::string end;                       // the continuum's words

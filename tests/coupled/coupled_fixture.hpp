@@ -1,17 +1,13 @@
-// Both solvers in this process, over the in-memory channel.
+// Scenes of the tree, with both solvers in this process.
 #pragma once
 #include <spdlog/spdlog.h>
 
-#include <exception>
 #include <filesystem>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "common/scene.hpp"
-#include "continuum_client/stages.hpp"
-#include "dem_server/stages.hpp"
-#include "protocol/loopback_channel.hpp"
+#include "tools/in_process.hpp"
 
 namespace lockstep::coupled {
 
@@ -19,33 +15,9 @@ inline std::filesystem::path scenario(const std::string& name) {
   return std::filesystem::path(SOURCE_DIR) / "scenarios" / name / "scene.txt";
 }
 
-struct Reports {
-  dem::RunReport grains;
-  continuum::RunReport zones;
-};
-
-// Runs a scene with both sides in this process; the first error of either side is thrown on.
 inline Reports run_in_process(const SceneFile& scene) {
   spdlog::set_level(spdlog::level::warn);
-  auto [server, client] = protocol::make_loopback();
-  Reports reports;
-  std::exception_ptr grains_failed, zones_failed;
-  std::thread grains([&, channel = std::move(server)]() mutable {
-    try {
-      reports.grains = dem::run_grains(scene, std::move(channel), {});
-    } catch (...) {
-      grains_failed = std::current_exception();
-    }
-  });
-  try {
-    reports.zones = continuum::run_continuum(scene, {}, std::move(client), {});
-  } catch (...) {
-    zones_failed = std::current_exception();
-  }
-  grains.join();
-  if (grains_failed) std::rethrow_exception(grains_failed);
-  if (zones_failed) std::rethrow_exception(zones_failed);
-  return reports;
+  return run_both(scene);
 }
 
 inline Reports run_in_process(const std::string& name, const std::vector<std::string>& overrides = {}) {
