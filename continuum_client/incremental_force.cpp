@@ -171,6 +171,11 @@ void IncrementalForce::keep_strain() {
   strain_.assign(zone_.size(), zero);
 }
 
+std::size_t IncrementalForce::bytes() const {
+  return zone_.size() * (sizeof(ZoneState) + sizeof(ZoneVectors)) + strain_.size() * sizeof(PointTensors) +
+         corner_.size() * sizeof(Corner) + last_force_.size() * sizeof(Vec3);
+}
+
 Mat3 IncrementalForce::mean(std::size_t z, const PointTensors& values) const {
   const ZoneGeometry g = grid_.geometry(z);
   Mat3 sum = Mat3::Zero();

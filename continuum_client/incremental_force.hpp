@@ -52,6 +52,7 @@ class IncrementalForce {
   Mat3 zone_stress(std::size_t z) const;  // mean of its points [Pa]
   Mat3 zone_strain(std::size_t z) const;  // mean of its points, after keep_strain() [-]
   double work() const { return work_; }   // [J]
+  std::size_t bytes() const;              // what a step walks of it
 
  private:
   using PointTensors = std::array<Mat3, ZoneGeometry::most_points>;
