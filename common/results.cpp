@@ -142,27 +142,20 @@ std::string data_section(const fs::path& path, const char* section, const std::v
   return text + fmt::format("</{}>\n", section);
 }
 
-// Connectivity and offsets of cells with `corners` nodes each.
-std::string cell_arrays(const std::vector<std::int64_t>& connectivity, std::int64_t corners) {
-  std::vector<std::int64_t> offsets;
-  for (std::int64_t end = corners; end <= static_cast<std::int64_t>(connectivity.size()); end += corners)
-    offsets.push_back(end);
-  return data_array("connectivity", "Int64", 1, std::span<const std::int64_t>(connectivity)) +
-         data_array("offsets", "Int64", 1, std::span<const std::int64_t>(offsets));
-}
-
-template <std::size_t N>
-std::vector<std::int64_t> flattened(const fs::path& path, const std::vector<std::array<std::int32_t, N>>& cells,
-                                    std::size_t point_count) {
-  std::vector<std::int64_t> nodes;
-  nodes.reserve(N * cells.size());
-  for (const auto& cell : cells)
-    for (std::int32_t node : cell) {
+// Connectivity and offsets of cells, each a list of nodes.
+template <class Cells>
+std::string cell_arrays(const fs::path& path, const Cells& cells, std::size_t point_count) {
+  std::vector<std::int64_t> nodes, offsets;
+  for (const auto& cell : cells) {
+    for (const std::int32_t node : cell) {
       LOCKSTEP_ASSERT(node >= 0 && static_cast<std::size_t>(node) < point_count, "{}: a cell names node {} of {}",
                       path.string(), node, point_count);
       nodes.push_back(node);
     }
-  return nodes;
+    offsets.push_back(static_cast<std::int64_t>(nodes.size()));
+  }
+  return data_array("connectivity", "Int64", 1, std::span<const std::int64_t>(nodes)) +
+         data_array("offsets", "Int64", 1, std::span<const std::int64_t>(offsets));
 }
 
 std::string vtk_file(const char* type, const std::string& piece_attributes, const std::string& content) {
@@ -173,10 +166,26 @@ std::string vtk_file(const char* type, const std::string& piece_attributes, cons
       type, piece_attributes, content);
 }
 
-std::vector<std::int64_t> counting(std::size_t count) {
-  std::vector<std::int64_t> indices(count);
-  for (std::size_t i = 0; i < count; ++i) indices[i] = static_cast<std::int64_t>(i);
-  return indices;
+// Cells of N points each, in the points' order.
+template <std::size_t N>
+std::vector<std::array<std::int32_t, N>> counting(std::size_t count) {
+  std::vector<std::array<std::int32_t, N>> cells(count);
+  std::int32_t next = 0;
+  for (auto& cell : cells)
+    for (std::int32_t& node : cell) node = next++;
+  return cells;
+}
+
+// Polygons, whatever their number of nodes.
+template <class Polygons>
+void write_polygons(const fs::path& path, const Vec3s& points, const Polygons& polygons,
+                    const std::vector<Field>& point_data, const std::vector<Field>& cell_data) {
+  write_file(
+      path,
+      vtk_file("PolyData", fmt::format("NumberOfPoints=\"{}\" NumberOfPolys=\"{}\"", points.size(), polygons.size()),
+               data_section(path, "PointData", point_data, points.size()) +
+                   data_section(path, "CellData", cell_data, polygons.size()) + points_section(path, points) +
+                   "<Polys>\n" + cell_arrays(path, polygons, points.size()) + "</Polys>\n"));
 }
 
 // --------------------------------------------------------------------------------------------------- CSV and JSON
@@ -287,7 +296,7 @@ void write_vtp_points(const fs::path& path, const Vec3s& points, const std::vect
   const std::size_t n = points.size();
   write_file(path, vtk_file("PolyData", fmt::format("NumberOfPoints=\"{}\" NumberOfVerts=\"{}\"", n, n),
                             data_section(path, "PointData", point_data, n) + points_section(path, points) +
-                                "<Verts>\n" + cell_arrays(counting(n), 1) + "</Verts>\n"));
+                                "<Verts>\n" + cell_arrays(path, counting<1>(n), n) + "</Verts>\n"));
 }
 
 void write_vtp_lines(const fs::path& path, const Vec3s& begin, const Vec3s& end, const std::vector<Field>& cell_data) {
@@ -298,17 +307,18 @@ void write_vtp_lines(const fs::path& path, const Vec3s& begin, const Vec3s& end,
   write_file(
       path, vtk_file("PolyData", fmt::format("NumberOfPoints=\"{}\" NumberOfLines=\"{}\"", points.size(), begin.size()),
                      data_section(path, "CellData", cell_data, begin.size()) + points_section(path, points) +
-                         "<Lines>\n" + cell_arrays(counting(points.size()), 2) + "</Lines>\n"));
+                         "<Lines>\n" + cell_arrays(path, counting<2>(begin.size()), points.size()) + "</Lines>\n"));
+}
+
+void write_vtp_polygons(const fs::path& path, const Vec3s& points,
+                        const std::vector<std::vector<std::int32_t>>& polygons, const std::vector<Field>& point_data,
+                        const std::vector<Field>& cell_data) {
+  write_polygons(path, points, polygons, point_data, cell_data);
 }
 
 void write_vtp_facets(const fs::path& path, const Vec3s& points, const std::vector<std::array<std::int32_t, 4>>& facets,
                       const std::vector<Field>& point_data, const std::vector<Field>& cell_data) {
-  write_file(
-      path,
-      vtk_file("PolyData", fmt::format("NumberOfPoints=\"{}\" NumberOfPolys=\"{}\"", points.size(), facets.size()),
-               data_section(path, "PointData", point_data, points.size()) +
-                   data_section(path, "CellData", cell_data, facets.size()) + points_section(path, points) +
-                   "<Polys>\n" + cell_arrays(flattened(path, facets, points.size()), 4) + "</Polys>\n"));
+  write_polygons(path, points, facets, point_data, cell_data);
 }
 
 void write_vtu_hexahedra(const fs::path& path, const Vec3s& points,
@@ -320,7 +330,7 @@ void write_vtu_hexahedra(const fs::path& path, const Vec3s& points,
                             fmt::format("NumberOfPoints=\"{}\" NumberOfCells=\"{}\"", points.size(), zones.size()),
                             data_section(path, "PointData", point_data, points.size()) +
                                 data_section(path, "CellData", cell_data, zones.size()) + points_section(path, points) +
-                                "<Cells>\n" + cell_arrays(flattened(path, zones, points.size()), 8) +
+                                "<Cells>\n" + cell_arrays(path, zones, points.size()) +
                                 data_array("types", "UInt8", 1, std::span<const std::uint8_t>(types)) + "</Cells>\n"));
 }
 

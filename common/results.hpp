@@ -53,7 +53,10 @@ void write_vtp_points(const std::filesystem::path& path, const Vec3s& points, co
 // Lines between pairs of points with cell data (.vtp).
 void write_vtp_lines(const std::filesystem::path& path, const Vec3s& begin, const Vec3s& end,
                      const std::vector<Field>& cell_data);
-// Quadrilaterals (.vtp) and 8-node hexahedra (.vtu) with point and cell data.
+// Quadrilaterals and polygons (.vtp) and 8-node hexahedra (.vtu) with point and cell data.
+void write_vtp_polygons(const std::filesystem::path& path, const Vec3s& points,
+                        const std::vector<std::vector<std::int32_t>>& polygons, const std::vector<Field>& point_data,
+                        const std::vector<Field>& cell_data);
 void write_vtp_facets(const std::filesystem::path& path, const Vec3s& points,
                       const std::vector<std::array<std::int32_t, 4>>& facets, const std::vector<Field>& point_data,
                       const std::vector<Field>& cell_data);

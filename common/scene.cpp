@@ -321,15 +321,15 @@ void check_ranges(const Message& block, const std::string& prefix, const SceneFi
         check_ranges(reflection.GetMessage(block, &field), key, file);
       continue;
     }
+    const std::string unit = unit_of(field).empty() ? "" : fmt::format(" ({})", unit_of(field));
     if (!reflection.HasField(block, &field)) {
       if (field.options().GetExtension(scene::required))
-        throw InputError(fmt::format("{} is missing ({}): {}; it has no default, give it", file.where(key),
-                                     unit_of(field), effect_of(field)));
+        throw InputError(
+            fmt::format("{} is missing{}: {}; it has no default, give it", file.where(key), unit, effect_of(field)));
       continue;
     }
     const std::optional<double> value = number_of(block, field);
     if (!value) continue;
-    const std::string unit = unit_of(field).empty() ? "" : fmt::format(" ({})", unit_of(field));
     const std::string effect = effect_of(field).empty() ? "" : fmt::format(": {}", effect_of(field));
     if (!std::isfinite(*value))
       throw InputError(fmt::format("{} = {} is not finite{}{}; give a number {}", file.where(key), *value, unit, effect,

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/shape_functions.hpp"
 #include "common/vectors.hpp"
 #include "continuum_client/grid.hpp"
 #include "continuum_client/settings.hpp"
@@ -26,6 +27,7 @@ struct OuterFace {
   std::int32_t zone = 0;
 };
 std::vector<OuterFace> outer_faces(const Grid& grid, const std::vector<char>& is_included);
+FacetCorners corners_of(const Grid& grid, const OuterFace& face);
 
 // Viscosities that let waves out of a quiet boundary (Lysmer & Kuhlemeyer, J. Eng. Mech. Div. ASCE 95, 1969): rho c_p A
 // along the normal and rho c_s A across, A a node's bilinear share of its faces. Empty where `supports` has none

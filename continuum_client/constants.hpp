@@ -61,6 +61,12 @@ inline constexpr double plane_tolerance = 1e-9;
 inline constexpr std::uint64_t good_state_interval = 500;
 inline constexpr std::uint64_t good_state_age = 100;
 
+// Newton's iteration for the place of a point in a zone: it doubles its digits with each step, so that after one of this size
+// nothing but round-off is left; a point that leads it so far from the cube -1 .. 1 is in another zone.
+inline constexpr int most_newton_steps = 30;
+inline constexpr double newton_tolerance = 1e-8;  // half sides
+inline constexpr double newton_reach = 10;        // half sides
+
 // Between lines of progress, and between looks at the clock in InitialStress.
 inline constexpr double progress_seconds = 0.5;  // [s]
 

@@ -66,6 +66,17 @@ class CoupledGround {
 
   // Stress of a zone now, by either route; `initial` is the state that displacements start from [Pa].
   Mat3 zone_stress(const InitialState& initial, std::size_t z) const;
+  // Mean strain of a zone since the reference state, of the same points as its stress: stress = initial + law(strain). With
+  // large strain it is the sum of the increments, turned with the zone as the stress is; the incremental route has it after
+  // incremental->keep_strain().
+  Mat3 zone_strain(std::size_t z) const;
+
+  // Of the last step's n, from the forces that are still there [N]. The zones' share f_int is negative in nodal_force: weight,
+  // loads, contacts and baseline, less f_int, without supports and dashpots.
+  Vec3 nodal_force(std::size_t node) const;
+  Vec3 unbalanced_force(std::size_t node) const;  // in its free directions
+  // Of the supports on the ground: what holds the others, and kept_reaction. Dashpots of quiet boundaries are not in it.
+  Vec3 support_force(std::size_t node) const;
 
   // ------------------------------------------------------------------ what they work on
   Grid grid;
@@ -76,6 +87,7 @@ class CoupledGround {
   Vec3s internal;               // f_int(n) [N]
   Vec3 gravity = Vec3::Zero();  // acceleration [m/s2]
   Vec3s reaction_load;          // of released supports, per node; empty: none was released [N]
+  Vec3s kept_reaction;  // the same, without the weights that scaled masses put there; empty: none, or nobody asks [N]
   // Full forces of the scene's tractions, per node, and what is applied of them beside the reactions [N].
   std::vector<SurfaceLoad> loads;
   std::vector<Vec3s> load_force;

@@ -103,6 +103,33 @@ Mat3 CoupledGround::zone_stress(const InitialState& initial, std::size_t z) cons
          continuum::zone_stress(grid.geometry(z), grid.moduli(z), gather(motion.displacement, grid.zone[z]));
 }
 
+Mat3 CoupledGround::zone_strain(std::size_t z) const {
+  if (incremental) return incremental->zone_strain(z);
+  return continuum::zone_strain(grid.geometry(z), gather(motion.displacement, grid.zone[z]));
+}
+
+Vec3 CoupledGround::nodal_force(std::size_t node) const {
+  Vec3 force = integrator.mass()[node] * gravity - internal[node];
+  const Vec3s& boundary = boundary_load.empty() ? reaction_load : boundary_load;
+  if (!boundary.empty()) force += boundary[node];
+  if (!viscous.empty()) force += viscous[node];
+  const auto at = std::lower_bound(interface.node.begin(), interface.node.end(), static_cast<std::int32_t>(node));
+  if (at == interface.node.end() || *at != static_cast<std::int32_t>(node)) return force;
+  const auto k = static_cast<std::size_t>(at - interface.node.begin());
+  if (!incoming.force.empty()) force += incoming.force[k];
+  if (!baseline.force.empty()) force += baseline.force[k];
+  return force;
+}
+
+Vec3 CoupledGround::unbalanced_force(std::size_t node) const {
+  return nodal_force(node).cwiseProduct(integrator.is_free()[node]);
+}
+
+Vec3 CoupledGround::support_force(std::size_t node) const {
+  const Vec3 held = nodal_force(node).cwiseProduct(integrator.is_free()[node] - Vec3::Ones());
+  return kept_reaction.empty() ? held : Vec3(held + kept_reaction[node]);
+}
+
 void CoupledGround::guard_step() {
   if (!incoming.node_stiffness.empty()) guard.limits.set_contacts(incoming.node_stiffness);
   if (incoming.stable_step != guard.told_limit) {

@@ -39,7 +39,7 @@ IncrementalForce::IncrementalForce(const Grid& grid, const std::vector<char>& is
     state_[k].hourglass.fill(Vec3::Zero());
     const ZoneGeometry geometry = grid.geometry(static_cast<std::size_t>(representative_[z]));
     if (!initial.displacement.empty())
-      deform(state_[k], geometry, grid.moduli(z), gather(initial.displacement, grid.zone[z]), false);
+      deform(state_[k], geometry, grid.moduli(z), gather(initial.displacement, grid.zone[z]), false, nullptr);
     zone_force_[k] = force_of(state_[k], geometry);
   }
   last_force_.resize(grid.node_count());
@@ -59,7 +59,7 @@ ZoneGeometry IncrementalForce::shape(std::size_t k, const Vec3s& displacement, c
 }
 
 void IncrementalForce::deform(ZoneState& state, const ZoneGeometry& g, const ElasticModuli& moduli,
-                              const ZoneVectors& increment, bool turns) const {
+                              const ZoneVectors& increment, bool turns, PointTensors* total_strain) const {
   std::array<Mat3, ZoneGeometry::most_points> gradient;
   std::array<double, ZoneGeometry::most_groups> dilatation{};
   for (int p = 0; p < g.point_count; ++p) {
@@ -79,9 +79,14 @@ void IncrementalForce::deform(ZoneState& state, const ZoneGeometry& g, const Ela
     const double change = dilatation[g.point[p].group];
     if (!turns) {
       stress = law_(moduli, stress, strain, change);
+      if (total_strain) (*total_strain)[p] += strain;
       continue;
     }
     const Mat3 turn = half_turn(p);
+    if (total_strain) {
+      Mat3& total = (*total_strain)[p];
+      total = turn * (turn * total * turn.transpose() + strain) * turn.transpose();
+    }
     stress = turn * law_(moduli, turn * stress * turn.transpose(), strain, change) * turn.transpose();
   }
   if (g.hourglass_stiffness == 0) return;
@@ -129,8 +134,9 @@ void IncrementalForce::advance(const Vec3s& displacement, const Vec3s& velocity,
     for (std::size_t k = begin; k < end; ++k) {
       const auto z = static_cast<std::size_t>(zone_[k]);
       const ZoneVectors du = gather(increment, grid_.zone[z]);
+      PointTensors* const total_strain = strain_.empty() ? nullptr : &strain_[k];
       if (has_large_strain_) {
-        deform(state_[k], shape(k, displacement, &increment, 0.5), grid_.moduli(z), du, true);
+        deform(state_[k], shape(k, displacement, &increment, 0.5), grid_.moduli(z), du, true, total_strain);
         geometry = shape(k, displacement, nullptr, 0);
         if (!(geometry.smallest_volume > 0)) inverted[static_cast<std::size_t>(t)] = zone_[k];
       } else {
@@ -138,7 +144,7 @@ void IncrementalForce::advance(const Vec3s& displacement, const Vec3s& velocity,
           geometry_of = representative_[z];
           geometry = grid_.geometry(static_cast<std::size_t>(geometry_of));
         }
-        deform(state_[k], geometry, grid_.moduli(z), du, false);
+        deform(state_[k], geometry, grid_.moduli(z), du, false, total_strain);
       }
       zone_force_[k] = force_of(state_[k], geometry);
     }
@@ -159,12 +165,30 @@ void IncrementalForce::advance(const Vec3s& displacement, const Vec3s& velocity,
   last_force_ = force;
 }
 
-Mat3 IncrementalForce::zone_stress(std::size_t z) const {
+void IncrementalForce::keep_strain() {
+  PointTensors zero;
+  zero.fill(Mat3::Zero());
+  strain_.assign(zone_.size(), zero);
+}
+
+std::size_t IncrementalForce::bytes() const {
+  return zone_.size() * (sizeof(ZoneState) + sizeof(ZoneVectors)) + strain_.size() * sizeof(PointTensors) +
+         corner_.size() * sizeof(Corner) + last_force_.size() * sizeof(Vec3);
+}
+
+Mat3 IncrementalForce::mean(std::size_t z, const PointTensors& values) const {
   const ZoneGeometry g = grid_.geometry(z);
-  const ZoneState& state = state_[static_cast<std::size_t>(place_[z])];
   Mat3 sum = Mat3::Zero();
-  for (int p = 0; p < g.point_count; ++p) sum += g.point[p].volume * state.stress[p];
+  for (int p = 0; p < g.point_count; ++p) sum += g.point[p].volume * values[p];
   return sum / g.zone_volume();
+}
+
+Mat3 IncrementalForce::zone_stress(std::size_t z) const {
+  return mean(z, state_[static_cast<std::size_t>(place_[z])].stress);
+}
+
+Mat3 IncrementalForce::zone_strain(std::size_t z) const {
+  return mean(z, strain_[static_cast<std::size_t>(place_[z])]);
 }
 
 }  // namespace lockstep::continuum

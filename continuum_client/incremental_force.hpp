@@ -46,12 +46,18 @@ class IncrementalForce {
   void advance(const Vec3s& displacement, const Vec3s& velocity, double time_step, Vec3s& force,
                Team& team = Team::alone());
 
+  // Adds strain up beside the stress, from zero now on and turned as the stress is: 720 bytes a zone.
+  void keep_strain();
+
   Mat3 zone_stress(std::size_t z) const;  // mean of its points [Pa]
+  Mat3 zone_strain(std::size_t z) const;  // mean of its points, after keep_strain() [-]
   double work() const { return work_; }   // [J]
+  std::size_t bytes() const;              // what a step walks of it
 
  private:
+  using PointTensors = std::array<Mat3, ZoneGeometry::most_points>;
   struct ZoneState {
-    std::array<Mat3, ZoneGeometry::most_points> stress;  // per point [Pa]
+    PointTensors stress;                                 // per point [Pa]
     std::array<Vec3, ZoneGeometry::patterns> hourglass;  // C q [N]
   };
   // A corner of a zone, by node: forces are gathered in this order whatever the threads do.
@@ -59,9 +65,10 @@ class IncrementalForce {
     std::int32_t zone, corner;
   };
 
+  Mat3 mean(std::size_t z, const PointTensors& values) const;
   ZoneGeometry shape(std::size_t k, const Vec3s& displacement, const Vec3s* increment, double share) const;
   void deform(ZoneState& state, const ZoneGeometry& geometry, const ElasticModuli& moduli, const ZoneVectors& increment,
-              bool turns) const;
+              bool turns, PointTensors* total_strain) const;
   ZoneVectors force_of(const ZoneState& state, const ZoneGeometry& geometry) const;
   void gather_forces(Vec3s& force, Team& team) const;
 
@@ -72,6 +79,7 @@ class IncrementalForce {
   std::vector<std::int32_t> representative_;
   std::vector<std::int32_t> place_;  // per grid zone: where it is in zone_, or -1
   std::vector<ZoneState> state_;
+  std::vector<PointTensors> strain_;  // per included zone and point; empty: not kept [-]
   std::vector<ZoneVectors> zone_force_;
   std::vector<std::size_t> corner_begin_;  // per node and one more
   std::vector<Corner> corner_;

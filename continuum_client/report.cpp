@@ -6,8 +6,17 @@
 
 namespace lockstep::continuum {
 
-ResultFiles::ResultFiles(const std::filesystem::path& folder, bool writes_zones)
-    : folder_(folder), writes_zones_(writes_zones) {
+namespace {
+
+template <class Vector>
+void append(Field& field, const Vector& value) {
+  field.values.insert(field.values.end(), value.data(), value.data() + value.size());
+}
+
+}  // namespace
+
+ResultFiles::ResultFiles(const std::filesystem::path& folder, const Settings& settings)
+    : folder_(folder), writes_zones_(settings.writes_zones), results_(settings.results) {
   if (folder_.empty()) return;
   prepare_folder(folder_);
   history_ = std::make_unique<History>(
@@ -19,7 +28,11 @@ ResultFiles::ResultFiles(const std::filesystem::path& folder, bool writes_zones)
   series_ = std::make_unique<Series>(folder_ / "zones.pvd");
 }
 
-void ResultFiles::add_history(const CoupledGround& g) {
+void ResultFiles::find_places(const Grid& grid, const std::vector<char>& is_left) {
+  observers_.emplace(folder_, results_, grid, is_left);
+}
+
+void ResultFiles::add_history(const CoupledGround& g, const InitialState& initial) {
   if (!is_active()) return;
   if (g.coupled) {
     if (!coupled_history_)
@@ -34,15 +47,25 @@ void ResultFiles::add_history(const CoupledGround& g) {
   history_->add({static_cast<double>(g.step), g.time, g.step_sizes.out_of, g.sums.unbalanced_ratio(), l.kinetic,
                  l.elastic, l.work.gravity, l.work.boundary, l.work.interface, l.work.baseline, l.work.damped,
                  l.residual(), force, baseline, largest});
+  if (observers_) observers_->add_rows(g, initial);
 }
 
 void ResultFiles::add_snapshot(const CoupledGround& g, const InitialState& initial, const std::vector<char>& is_left) {
-  if (!is_active() || !writes_zones_) return;
+  if (!is_active() || (snapshots_ > 0 && g.step == last_step_)) return;
+  if (writes_zones_) write_zones(g, initial, is_left);
+  if (observers_) observers_->add_snapshot(g, initial, snapshots_);
+  ++snapshots_;
+  last_step_ = g.step;
+}
+
+void ResultFiles::write_zones(const CoupledGround& g, const InitialState& initial, const std::vector<char>& is_left) {
   // Only the nodes of the zones that are left are written.
   std::vector<std::int32_t> number(g.grid.node_count(), -1);
   Vec3s points;
   Field displacement{"displacement [m]", 3, {}}, velocity{"velocity [m/s]", 3, {}};
   Field stress{"stress xx yy zz xy yz zx [Pa]", 6, {}}, change{"vertical stress change since Excavate [Pa]", 1, {}};
+  Field strain{"strain xx yy zz xy yz zx [-]", 6, {}};
+  Field unbalanced{"unbalanced force [N]", 3, {}}, reaction{"reaction [N]", 3, {}};
   std::vector<std::array<std::int32_t, 8>> zones;
   for (std::size_t z = 0; z < g.grid.zone_count(); ++z)
     if (is_left[z])
@@ -51,10 +74,10 @@ void ResultFiles::add_snapshot(const CoupledGround& g, const InitialState& initi
     if (number[i] < 0) continue;
     number[i] = static_cast<std::int32_t>(points.size());
     points.push_back(g.grid.node[i]);
-    for (int c = 0; c < 3; ++c) {
-      displacement.values.push_back(g.motion.displacement[i][c]);
-      velocity.values.push_back(g.motion.velocity[i][c]);
-    }
+    append(displacement, g.motion.displacement[i]);
+    append(velocity, g.motion.velocity[i]);
+    if (results_.unbalanced_force) append(unbalanced, g.unbalanced_force(i));
+    if (results_.reactions) append(reaction, g.support_force(i));
   }
   for (std::size_t z = 0; z < g.grid.zone_count(); ++z) {
     if (!is_left[z]) continue;
@@ -62,12 +85,16 @@ void ResultFiles::add_snapshot(const CoupledGround& g, const InitialState& initi
     for (int a = 0; a < 8; ++a) nodes[a] = number[g.grid.zone[z][a]];
     zones.push_back(nodes);
     const Mat3 now = g.zone_stress(initial, z);
-    const Voigt total = to_voigt(now);
-    stress.values.insert(stress.values.end(), total.data(), total.data() + 6);
+    append(stress, to_voigt(now));
+    if (results_.strain) append(strain, to_voigt(g.zone_strain(z)));
     change.values.push_back(now(2, 2) - initial.zone_stress(g.grid, z)(2, 2));
   }
-  const std::string name = fmt::format("zones_{:04d}.vtu", snapshots_++);
-  write_vtu_hexahedra(folder_ / name, points, zones, {displacement, velocity}, {stress, change});
+  const std::string name = fmt::format("zones_{:04d}.vtu", snapshots_);
+  std::vector<Field> of_points = {displacement, velocity}, of_zones = {stress, change};
+  if (results_.unbalanced_force) of_points.push_back(std::move(unbalanced));
+  if (results_.reactions) of_points.push_back(std::move(reaction));
+  if (results_.strain) of_zones.push_back(std::move(strain));
+  write_vtu_hexahedra(folder_ / name, points, zones, of_points, of_zones);
   series_->add(g.time, name);
 }
 

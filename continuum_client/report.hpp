@@ -11,6 +11,7 @@
 #include "continuum_client/cycle.hpp"
 #include "continuum_client/equilibrium.hpp"
 #include "continuum_client/initial_stress.hpp"
+#include "continuum_client/observers.hpp"
 #include "continuum_client/settings.hpp"
 
 namespace lockstep::continuum {
@@ -67,22 +68,30 @@ struct RunReport {
 // Writes into the results folder; does nothing without one.
 class ResultFiles {
  public:
-  ResultFiles(const std::filesystem::path& folder, bool writes_zones);
+  ResultFiles(const std::filesystem::path& folder, const Settings& settings);
 
   bool is_active() const { return !folder_.empty(); }
-  void add_history(const CoupledGround& ground);
-  // Displacement, velocity, stress and change of vertical stress since Excavate, of the zones with is_left.
+  // Looks up the scene's points, sections and lines in the zones with is_left, which stay. InputError for places outside.
+  void find_places(const Grid& grid, const std::vector<char>& is_left);
   // `initial` is the state that displacements start from.
+  void add_history(const CoupledGround& ground, const InitialState& initial);
+  // Zones with is_left, sections and lines; not twice for one step.
   void add_snapshot(const CoupledGround& ground, const InitialState& initial, const std::vector<char>& is_left);
   void write_interface(const CoupledGround& ground, const Vec3s& traction);
   void write_summary(const RunReport& report, const std::string& title);
 
  private:
+  // Displacement, velocity, stress and change of vertical stress since Excavate; strain and forces where they are asked for.
+  void write_zones(const CoupledGround& ground, const InitialState& initial, const std::vector<char>& is_left);
+
   std::filesystem::path folder_;
   bool writes_zones_ = true;
+  ResultSettings results_;
   std::unique_ptr<History> history_, coupled_history_;
   std::unique_ptr<Series> series_;
+  std::optional<Observers> observers_;
   int snapshots_ = 0;
+  std::uint64_t last_step_ = 0;  // of a snapshot
 };
 
 }  // namespace lockstep::continuum

@@ -3,6 +3,7 @@
 #include <fmt/ranges.h>
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "common/checks.hpp"
 
@@ -104,6 +105,55 @@ SurfaceLoad surface_load(const scene::SurfaceLoad& l, int index, const SceneFile
     throw InputError(fmt::format("{}: the box from ({}) to ({}) is empty; low must be below high in each direction",
                                  load.where, fmt::join(load.low, ", "), fmt::join(load.high, ", ")));
   return load;
+}
+
+// A name that can be part of a file's name and that no block of the same kind has had.
+std::string result_name(const std::string& name, const std::string& key, std::set<std::string>& taken,
+                        const SceneFile& file) {
+  constexpr std::size_t longest = 64;
+  const bool is_plain = std::all_of(name.begin(), name.end(), [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_';
+  });
+  if (name.empty() || name.size() > longest || !is_plain)
+    throw InputError(fmt::format("{}: name \"{}\" becomes part of a file's name; give 1 to {} letters, digits, - or _",
+                                 file.where(key + ".name"), name, longest));
+  if (!taken.insert(name).second)
+    throw InputError(
+        fmt::format("{}: name \"{}\" is taken by another block of its kind, whose file it would overwrite; "
+                    "give another",
+                    file.where(key + ".name"), name));
+  return name;
+}
+
+void read_results(const scene::ContinuumResults& c, const SceneFile& file, ResultSettings& r) {
+  const std::string block = "continuum.results";
+  r.strain = c.strain(), r.unbalanced_force = c.unbalanced_force(), r.reactions = c.reactions();
+  std::set<std::string> points, sections, lines;
+  for (int i = 0; i < c.point_size(); ++i) {
+    const std::string key = fmt::format("{}.point[{}]", block, i);
+    r.points.push_back(
+        {result_name(c.point(i).name(), key, points, file), to_vector(c.point(i).near()), file.where(key + ".near")});
+  }
+  for (int i = 0; i < c.section_size(); ++i) {
+    const std::string key = fmt::format("{}.section[{}]", block, i);
+    const scene::ResultSection& s = c.section(i);
+    r.sections.push_back(
+        {result_name(s.name(), key, sections, file), to_vector(s.point()), to_vector(s.normal()), file.where(key)});
+    if (!(r.sections.back().normal.norm() > 0))
+      throw InputError(
+          fmt::format("{}: normal is zero, so the plane has no direction; give one, such as "
+                      "normal {{ y: 1 }}",
+                      file.where(key + ".normal")));
+  }
+  for (int i = 0; i < c.line_size(); ++i) {
+    const std::string key = fmt::format("{}.line[{}]", block, i);
+    const scene::ResultLine& l = c.line(i);
+    r.lines.push_back({result_name(l.name(), key, lines, file), to_vector(l.begin()), to_vector(l.end()),
+                       static_cast<int>(l.points()), file.where(key)});
+    if (r.lines.back().begin == r.lines.back().end)
+      throw InputError(fmt::format("{}: begin and end are the same point ({}) m; give two", file.where(key + ".end"),
+                                   fmt::join(r.lines.back().end, ", ")));
+  }
 }
 
 void check_density_scaling(const scene::Continuum& c, const Settings& r, const SceneFile& file) {
@@ -212,6 +262,7 @@ Settings read_settings(const SceneFile& file) {
   r.history_interval = s.output().history_interval();
   r.snapshot_interval = s.output().snapshot_interval();
   r.writes_zones = s.output().zones();
+  if (c.has_results()) read_results(c.results(), file, r.results);
   return r;
 }
 

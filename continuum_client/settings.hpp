@@ -48,6 +48,32 @@ struct SurfaceLoad {
   std::string where;    // for messages
 };
 
+// What is written beside displacement, velocity and stress; places in the mesh before it moved. `where` is for messages.
+struct PointResult {
+  std::string name;
+  Vec3 at;  // [m]
+  std::string where;
+};
+struct SectionResult {
+  std::string name;
+  Vec3 point, normal;  // [m], [-]
+  std::string where;
+};
+struct LineResult {
+  std::string name;
+  Vec3 begin, end;  // [m]
+  int points = 2;
+  std::string where;
+};
+struct ResultSettings {
+  bool strain = false, unbalanced_force = false, reactions = false;  // of the zones' files
+  std::vector<PointResult> points;
+  std::vector<SectionResult> sections;
+  std::vector<LineResult> lines;
+
+  bool needs_strain() const { return strain || !points.empty() || !sections.empty() || !lines.empty(); }
+};
+
 struct Settings {
   std::string title;
   std::variant<BlockMesh, CylinderMesh> mesh;
@@ -91,6 +117,7 @@ struct Settings {
   std::uint32_t history_interval = 1;
   double snapshot_interval = 0;  // [S/D] with a pile, [s] else; 0: first and last only
   bool writes_zones = true;
+  ResultSettings results;
 
   // The larger of the dampings that the coupled stages use: the step is held for it.
   double largest_damping() const;

@@ -39,7 +39,7 @@ class Stages {
         settings_(read_settings(scene)),
         options_(options),
         team_(options.threads),
-        files_(folder, settings_.writes_zones) {
+        files_(folder, settings_) {
     if (settings_.has_grains && !channel)
       throw InputError("the scene has grains, so the continuum needs a peer that has them");
     if (!settings_.has_grains && channel)
@@ -60,20 +60,17 @@ class Stages {
 
   RunReport run() {
     const Clock::time_point begin = Clock::now();
-    if (peer_) {
-      try {
+    try {
+      if (peer_)
         couple();
-      } catch (const Error& e) {
-        peer_->abort(static_cast<int>(e.code()), e.what());
-        keep_last_state(e.what(), e.code() == ExitCode::Numerical);
-        throw;
-      } catch (const std::exception& e) {
-        peer_->abort(static_cast<int>(ExitCode::Internal), e.what());
-        keep_last_state(e.what(), false);
-        throw;
-      }
-    } else {
-      stand_alone();
+      else
+        stand_alone();
+    } catch (const Error& e) {
+      give_up(e.code(), e.what());
+      throw;
+    } catch (const std::exception& e) {
+      give_up(ExitCode::Internal, e.what());
+      throw;
     }
     conclude();
     report_.seconds = seconds_since(begin);
@@ -82,14 +79,18 @@ class Stages {
   }
 
  private:
+  void give_up(ExitCode code, const std::string& why) {
+    if (peer_) peer_->abort(static_cast<int>(code), why);
+    keep_last_state(why, code == ExitCode::Numerical);
+  }
+
   void couple() {
     hello();
     initial_stress();
     send_initial_stress();
     wait_for_balance();
     excavate();
-    if (!has_baseline()) ground_.baseline.offset.assign(ground_.interface.node_count(), Vec3::Zero());
-    files_.add_snapshot(ground_, initial_, is_left_);
+    take_snapshot();
     if (settings_.apply_max_steps > 0) apply();
     if (!report_.is_interrupted) penetrate();
     finish();
@@ -98,7 +99,6 @@ class Stages {
   // The ground alone: it is in equilibrium and stays there, which is what there is to see.
   void stand_alone() {
     initial_stress();
-    is_left_.assign(ground_.grid.zone_count(), 1);
     take_reference_state();
     StepGuard& guard = ground_.guard;
     guard.fraction = settings_.step_fraction;
@@ -108,8 +108,9 @@ class Stages {
     ground_.damping = settings_.run_damping;
     ground_.incoming.force.assign(ground_.interface.node_count(), Vec3::Zero());
     ground_.baseline.force = ground_.baseline.offset = ground_.incoming.force;
-    files_.add_snapshot(ground_, initial_, is_left_);
+    take_snapshot();
     begin_stage("Penetrate");
+    next_snapshot_ = settings_.snapshot_interval;
     double still = 0;  // from when on the loads do not change [s]
     for (const SurfaceLoad& load : settings_.loads)
       still = std::max(still, load.duration > 0 ? 2 * load.ramp + load.duration : load.ramp);
@@ -121,6 +122,7 @@ class Stages {
       is_at_rest = ground_.time >= still && ground_.sums.unbalanced_ratio() < settings_.run_tolerance;
       ground_.guard_step();
       after_step("Penetrate", ground_.time / settings_.duration);
+      snapshot_if_due(ground_.time);
     }
     if (settings_.run_tolerance > 0 && !is_at_rest && !report_.is_interrupted)
       spdlog::warn("the run ends at run.duration {} s with an unbalanced ratio of {:.2e}, above run.tolerance {:.2e}",
@@ -147,6 +149,8 @@ class Stages {
     ground_.grid = build_grid(settings_);
     const Grid& grid = ground_.grid;
     ground_.interface = interface_surface(grid);
+    is_left_ = peer_ ? zones_outside_discrete_domain(grid) : std::vector<char>(grid.zone_count(), 1);
+    files_.find_places(grid, is_left_);
     report_.zones = grid.zone_count(), report_.nodes = grid.node_count();
     report_.interface_nodes = ground_.interface.node_count(), report_.facets = ground_.interface.facet_count();
     beat("assembling the ground", 0);
@@ -203,7 +207,6 @@ class Stages {
   void excavate() {
     begin_stage("Excavate");
     const Grid& grid = ground_.grid;
-    is_left_ = zones_outside_discrete_domain(grid);
     report_.zones_deleted = static_cast<std::uint64_t>(std::count(is_left_.begin(), is_left_.end(), 0));
     if (report_.zones_deleted > 0) {
       stiffness_ = assemble_stiffness(grid, is_left_);
@@ -294,7 +297,7 @@ class Stages {
     ground_.stage = protocol::Stage::Penetrate;
     ground_.damping = settings_.run_damping;
     const double begin = ground_.time;
-    double next_snapshot = settings_.snapshot_interval;
+    next_snapshot_ = settings_.snapshot_interval;
     bool is_done = false;
     while (!stop_requested() && !is_done) {
       if (!settings_.has_pile && ground_.time - begin > settings_.duration - 0.5 * ground_.step_sizes.out_of) break;
@@ -304,11 +307,7 @@ class Stages {
       const double position = settings_.has_pile ? pile_travel(time) / settings_.pile_diameter : time;
       after_step("Penetrate", settings_.has_pile ? position / scene_.scene.pile().penetration()
                                                  : time / std::max(settings_.duration, time));
-      if (settings_.snapshot_interval > 0 && position >= next_snapshot) {
-        const auto scope = ground_.profile.measure(Phase::Output);
-        files_.add_snapshot(ground_, initial_, is_left_);
-        next_snapshot += settings_.snapshot_interval;
-      }
+      snapshot_if_due(position);
     }
     end_stage(fmt::format("{} steps in all, {:.4g} s, time step {:.4g} s, {} cuts", ground_.step, ground_.time,
                           ground_.step_sizes.out_of, ground_.guard.cuts));
@@ -353,6 +352,7 @@ class Stages {
       dashpot.resize(count, Vec3::Zero());
       for (std::size_t i = 0; i < count; ++i) dashpot[i] += Vec3::Constant(settings_.mass_damping * mass_[i]);
     }
+    if (settings_.results.reactions) ground_.kept_reaction = ground_.reaction_load;
     std::vector<double> inertia = mass_;
     ground_.velocity_limit = fastest_wave(ground_.grid);
     if (settings_.scales_density) {
@@ -371,6 +371,8 @@ class Stages {
     if (settings_.is_incremental)
       ground_.incremental =
           std::make_unique<IncrementalForce>(ground_.grid, is_left_, initial_, settings_.has_large_strain);
+    if (ground_.incremental && files_.is_active() && settings_.results.needs_strain())
+      ground_.incremental->keep_strain();
     ground_.loads = settings_.loads;
     for (const SurfaceLoad& load : settings_.loads)
       ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
@@ -434,6 +436,10 @@ class Stages {
       scale += reaction_[i].norm();
     }
     b.share = has_baseline() ? 1.0 : 0.0;
+    if (!has_baseline()) b.offset.assign(b.offset.size(), Vec3::Zero());
+    // Forces of the reference state, for what is written of it.
+    ground_.fade_baseline();
+    ground_.incoming.force = contact_force;
     report_.jump.force_difference = scale > 0 ? (sum_of(reaction_) - sum_of(contact_force)).norm() / scale : 0.0;
   }
 
@@ -484,9 +490,21 @@ class Stages {
 
   void after_step(const char* stage, double fraction) {
     const auto scope = ground_.profile.measure(Phase::Output);
-    if (ground_.step % settings_.history_interval == 0) files_.add_history(ground_);
-    if (peer_ && ground_.step % good_state_interval == 0) keep_good_state();
+    if (ground_.step % settings_.history_interval == 0) files_.add_history(ground_, initial_);
+    if (ground_.step % good_state_interval == 0) keep_good_state();
     progress(stage, fraction);
+  }
+
+  void take_snapshot() {
+    const auto scope = ground_.profile.measure(Phase::Output);
+    files_.add_snapshot(ground_, initial_, is_left_);
+  }
+
+  // `position` is S/D with a pile, else the time since the stage began, as output.snapshot_interval.
+  void snapshot_if_due(double position) {
+    if (!(settings_.snapshot_interval > 0) || position < next_snapshot_) return;
+    take_snapshot();
+    next_snapshot_ = std::max(next_snapshot_ + settings_.snapshot_interval, position);
   }
 
   void beat(const std::string& text, double fraction) {
@@ -584,8 +602,8 @@ class Stages {
     h.add(std::span<const Vec3>(ground_.motion.velocity));
     report_.state_hash = h.value();
     report_.position_hash = ground_.interface.position_hash();
-    if (ground_.step % settings_.history_interval != 0) files_.add_history(ground_);
-    files_.add_snapshot(ground_, initial_, is_left_);
+    if (ground_.step % settings_.history_interval != 0) files_.add_history(ground_, initial_);
+    take_snapshot();
     files_.write_interface(ground_,
                            traction_.empty() ? Vec3s(ground_.interface.facet_count(), Vec3::Zero()) : traction_);
   }
@@ -605,8 +623,9 @@ class Stages {
   InitialState initial_;       // before Excavate
   Vec3s reaction_;             // f_A per interface node [N]
   Vec3s traction_;             // per facet [Pa]
-  std::vector<char> is_left_;  // per zone
-  // What a coupled run that fails goes back to, newest last.
+  std::vector<char> is_left_;  // per zone: not deleted at Excavate
+  double next_snapshot_ = 0;   // as output.snapshot_interval
+  // What a run that fails goes back to, newest last.
   struct GoodState {
     std::uint64_t step = 0;
     double time = 0;  // [s]

@@ -45,27 +45,7 @@ ZoneGeometry mixed_discretization(const ZoneVectors& corners) {
   return g;
 }
 
-struct ShapeFunctions {
-  std::array<double, 8> value;
-  std::array<Vec3, 8> gradient;  // in the cube's coordinates
-};
-
-ShapeFunctions trilinear(double xi, double eta, double zeta) {
-  ShapeFunctions n;
-  for (int a = 0; a < 8; ++a) {
-    const double x = 1 + xi * node_at[a][0], y = 1 + eta * node_at[a][1], z = 1 + zeta * node_at[a][2];
-    n.value[a] = x * y * z / 8;
-    n.gradient[a] = Vec3(node_at[a][0] * y * z, x * node_at[a][1] * z, x * y * node_at[a][2]) / 8;
-  }
-  return n;
-}
-
-// dx/dxi, columns along xi, eta, zeta.
-Mat3 jacobian(const ShapeFunctions& n, const ZoneVectors& corners) {
-  Mat3 j = Mat3::Zero();
-  for (int a = 0; a < 8; ++a) j += corners[a] * n.gradient[a].transpose();
-  return j;
-}
+Vec3 cube_corner(int a) { return {node_at[a][0] * 1.0, node_at[a][1] * 1.0, node_at[a][2] * 1.0}; }
 
 // Eight Gauss points, which integrate det J, N det J and dN/dx det J of trilinear zones exactly or, the second, as well
 // as lumping needs.
@@ -75,7 +55,7 @@ ZoneGeometry b_bar(const ZoneVectors& corners) {
   g.smallest_volume = std::numeric_limits<double>::infinity();
   const double at = 1 / std::sqrt(3.0);
   for (int k = 0; k < 8; ++k) {
-    const ShapeFunctions n = trilinear(at * node_at[k][0], at * node_at[k][1], at * node_at[k][2]);
+    const ShapeFunctions n = trilinear(at * cube_corner(k));
     const Mat3 j = jacobian(n, corners);
     StrainPoint& p = g.point[k];
     p.volume = j.determinant();
@@ -85,7 +65,7 @@ ZoneGeometry b_bar(const ZoneVectors& corners) {
       g.nodal_volume[a] += n.value[a] * p.volume;
     }
     g.group_volume[0] += p.volume;
-    const Mat3 corner = jacobian(trilinear(node_at[k][0], node_at[k][1], node_at[k][2]), corners);
+    const Mat3 corner = jacobian(trilinear(cube_corner(k)), corners);
     g.smallest_volume = std::min({g.smallest_volume, 8 * p.volume, 8 * corner.determinant()});
   }
   return g;
@@ -134,6 +114,22 @@ void for_each_stress(const ZoneGeometry& g, const ElasticModuli& moduli, const Z
 }
 
 }  // namespace
+
+ShapeFunctions trilinear(const Vec3& xi) {
+  ShapeFunctions n;
+  for (int a = 0; a < 8; ++a) {
+    const double x = 1 + xi.x() * node_at[a][0], y = 1 + xi.y() * node_at[a][1], z = 1 + xi.z() * node_at[a][2];
+    n.value[a] = x * y * z / 8;
+    n.gradient[a] = Vec3(node_at[a][0] * y * z, x * node_at[a][1] * z, x * y * node_at[a][2]) / 8;
+  }
+  return n;
+}
+
+Mat3 jacobian(const ShapeFunctions& n, const ZoneVectors& corners) {
+  Mat3 j = Mat3::Zero();
+  for (int a = 0; a < 8; ++a) j += corners[a] * n.gradient[a].transpose();
+  return j;
+}
 
 double ZoneGeometry::zone_volume() const {
   double sum = 0;

@@ -34,6 +34,15 @@ enum class ZoneKind { MixedDiscretization, BBar, OnePoint };
 using ZoneVectors = std::array<Vec3, 8>;  // one per node, in the order of the drawing
 using ZoneMatrix = Eigen::Matrix<double, 24, 24>;
 
+// Trilinear shape functions N_a and their gradients in the cube -1 .. 1.
+struct ShapeFunctions {
+  std::array<double, 8> value;
+  std::array<Vec3, 8> gradient;
+};
+ShapeFunctions trilinear(const Vec3& xi);
+// dx/dxi, columns along xi, eta, zeta [m].
+Mat3 jacobian(const ShapeFunctions& shape, const ZoneVectors& corners);
+
 struct StrainPoint {
   double volume = 0;               // [m3]
   int group = 0;                   // of those that share a dilatation

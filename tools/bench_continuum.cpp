@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstdio>
 #include <fstream>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -15,6 +16,7 @@
 #include "common/random.hpp"
 #include "continuum_client/boundary_conditions.hpp"
 #include "continuum_client/grid_builder.hpp"
+#include "continuum_client/incremental_force.hpp"
 #include "continuum_client/integrator.hpp"
 #include "continuum_client/internal_force.hpp"
 #include "continuum_client/timestep.hpp"
@@ -33,7 +35,8 @@ struct Options {
   std::vector<int> threads = {1, 2};
   std::string instructions, format = "auto";
   int steps = 200, blocks = 5;
-  bool beside_grains = false;
+  std::string route = "assembled";
+  bool has_large_strain = false, beside_grains = false;
   std::vector<int> bar;  // zones along x, y, z
   double bar_time = 0.05;
   std::string export_path;
@@ -199,6 +202,10 @@ void measure(const std::string& mesh, const std::string& kind, Ground& ground, i
     motion.velocity[i] = motion.velocity[i].cwiseProduct(ground.is_free[i]);
   }
   Vec3s internal(nodes);
+  std::optional<IncrementalForce> incremental;
+  if (o.route == "incremental")
+    incremental.emplace(ground.grid, ground.is_left, InitialState(Vec3s(nodes, Vec3::Zero())), o.has_large_strain);
+  double gone = 0;  // no way leads to the first state [s]
   const Rival rival(o.beside_grains);
   std::vector<double> force_seconds, node_seconds, step_seconds;
   double best_force = 1e9, best_step = 1e9;
@@ -206,8 +213,12 @@ void measure(const std::string& mesh, const std::string& kind, Ground& ground, i
     double in_force = 0, in_nodes = 0;
     for (int n = 0; n < o.steps; ++n) {
       const auto begin = Clock::now();
-      ground.force.evaluate(motion.displacement, internal, team);
+      if (incremental)
+        incremental->advance(motion.displacement, motion.velocity, gone, internal, team);
+      else
+        ground.force.evaluate(motion.displacement, internal, team);
       const auto middle = Clock::now();
+      gone = ground.time_step;
       integrator.advance(motion, internal, ground.force.reference, {}, 0.2, {ground.time_step, ground.time_step}, 1e9,
                          team);
       const double whole = seconds_since(begin), first = std::chrono::duration<double>(middle - begin).count();
@@ -222,14 +233,16 @@ void measure(const std::string& mesh, const std::string& kind, Ground& ground, i
   hash.add(std::span<const Vec3>(motion.velocity));
   const double zones = static_cast<double>(ground.zones()), micro = 1e6 / zones;
   const StiffnessProduct& product = ground.force.product();
-  const double stream = stream_seconds(product.bytes(), team);
+  const std::size_t bytes = incremental ? incremental->bytes() : product.bytes();
+  const char* const held = incremental ? o.has_large_strain ? "stresses, large strain," : "stresses"
+                                       : format_names[static_cast<int>(product.format())];
+  const double stream = stream_seconds(bytes, team);
   std::printf(
       "%-15s %-20s %6.0f zones  %d thr  force %.4f (best %.4f)  nodes %.4f  step %.4f (best %.4f) us/zone = %.3f ms  "
       "%s %.1f MB, %.2f x its streaming  assembly %.2f + %.2f s  hash %016llx\n",
       mesh.c_str(), kind.c_str(), zones, threads, median(force_seconds) * micro, best_force * micro,
-      median(node_seconds) * micro, median(step_seconds) * micro, best_step * micro, 1e3 * median(step_seconds),
-      format_names[static_cast<int>(product.format())], static_cast<double>(product.bytes()) * 1e-6,
-      best_force / stream, ground.assembly_seconds, ground.arrange_seconds,
+      median(node_seconds) * micro, median(step_seconds) * micro, best_step * micro, 1e3 * median(step_seconds), held,
+      static_cast<double>(bytes) * 1e-6, best_force / stream, ground.assembly_seconds, ground.arrange_seconds,
       static_cast<unsigned long long>(hash.value()));
   std::fflush(stdout);
 }
@@ -305,6 +318,10 @@ int main(int argc, char** argv) {
   app.add_option("--format", o.format, "of the stiffness: auto, shared, half or zones")
       ->capture_default_str()
       ->check(CLI::IsMember({"auto", "shared", "half", "zones"}));
+  app.add_option("--route", o.route, "assembled, or incremental: stresses stored and updated, some forty times slower")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"assembled", "incremental"}));
+  app.add_flag("--large-strain", o.has_large_strain, "zones deform with their nodes; only with --route incremental");
   app.add_flag("--beside-grains", o.beside_grains, "while another thread walks 24 MB, as grains on the next core do");
   app.add_option("--bar", o.bar, "NX,NY,NZ: a column of cubes instead, for other programs to follow")
       ->delimiter(',')
@@ -314,11 +331,14 @@ int main(int argc, char** argv) {
   app.footer(
       "Examples:\n"
       "  tools/bench continuum\n"
+      "  tools/bench continuum --route incremental --large-strain --mesh paper --steps 10\n"
       "  tools/bench continuum --mesh large,large_distorted --kinds b_bar --steps 50\n"
       "  tools/bench continuum --against ccx      (CalculiX's explicit dynamics on the same column)");
   CLI11_PARSE(app, argc, argv);
   try {
     const InstructionSet set = o.instructions.empty() ? best_instructions() : instructions_by_name(o.instructions);
+    if (o.has_large_strain && o.route != "incremental")
+      throw InputError("--large-strain: the assembled operator keeps its shape; add --route incremental");
     if (!o.bar.empty()) {
       run_bar(o, set);
       return 0;
