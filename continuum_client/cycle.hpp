@@ -71,8 +71,8 @@ class CoupledGround {
   // incremental->keep_strain().
   Mat3 zone_strain(std::size_t z) const;
 
-  // Of the last step's n, from the forces that are still there [N]. The zones' share f_int is negative in nodal_force: weight,
-  // loads, contacts and baseline, less f_int, without supports and dashpots.
+  // Forces of the last step's n, which are still there [N]. All on a node but supports and dashpots: weight, loads, contacts,
+  // baseline, Rayleigh's part that goes with stiffness, less f_int.
   Vec3 nodal_force(std::size_t node) const;
   Vec3 unbalanced_force(std::size_t node) const;  // in its free directions
   // Of the supports on the ground: what holds the others, and kept_reaction. Dashpots of quiet boundaries are not in it.

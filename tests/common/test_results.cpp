@@ -129,6 +129,16 @@ TEST_CASE("Lines join their own two points, and facets their own four nodes") {
   CHECK(contains(read(path), "NumberOfPolys=\"1\""));
 }
 
+TEST_CASE("Polygons of any number of nodes stand one behind the other, and a node that is not there is our error") {
+  const TemporaryFolder folder;
+  const fs::path path = folder.path / "polygons.vtp";
+  const Vec3s points = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}, {2, 0, 0}};
+  write_vtp_polygons(path, points, {{0, 1, 2, 3}, {1, 4, 2}}, {}, {});
+  CHECK(payload<std::int64_t>(read(path), "connectivity") == std::vector<std::int64_t>{0, 1, 2, 3, 1, 4, 2});
+  CHECK(payload<std::int64_t>(read(path), "offsets") == std::vector<std::int64_t>{4, 7});
+  CHECK_THROWS_AS(write_vtp_polygons(path, points, {{0, 1, 5}}, {}, {}), InternalError);
+}
+
 TEST_CASE("No result file takes a value that is not finite, and the error names file and field") {
   const TemporaryFolder folder;
   const fs::path path = folder.path / "p.vtp";

@@ -525,8 +525,8 @@ TEST_CASE("a run alone that fails or is interrupted leaves whole files") {
   };
   Folder failed, interrupted;
   CHECK_THROWS_WITH(run_continuum(with_load("1e9"), failed.path, nullptr, {}), Contains("runs away"));
-  std::jthread user([&] {
-    while (numbers_of(interrupted.path / "point_p.csv").size() < 3) std::this_thread::yield();
+  std::jthread user([&](std::stop_token stop) {
+    while (!stop.stop_requested() && numbers_of(interrupted.path / "point_p.csv").size() < 3) std::this_thread::yield();
     interrupt_requested() = true;
   });
   const RunReport report = run_continuum(with_load("1e3"), interrupted.path, nullptr, {});
