@@ -198,11 +198,12 @@ void collect_lines(const Message& block, const TextFormat::ParseInfoTree& tree, 
 
 // A block whose presence alone adds something to the model: an override must not bring it in by the way.
 bool adds_to_model(const Descriptor& type) {
-  static const std::array<const Descriptor*, 8> types = {
+  static const std::array<const Descriptor*, 9> types = {
       scene::Continuum::descriptor(), scene::CylinderInBrick::descriptor(),
       scene::Block::descriptor(),     scene::Grains::descriptor(),
       scene::Packing::descriptor(),   scene::Lattice::descriptor(),
-      scene::Box::descriptor(),       scene::Pile::descriptor()};
+      scene::Box::descriptor(),       scene::Pile::descriptor(),
+      scene::Packet::descriptor()};
   return std::find(types.begin(), types.end(), &type) != types.end();
 }
 

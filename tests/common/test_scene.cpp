@@ -166,6 +166,8 @@ TEST_CASE("Values that contradict each other fail with both keys, both values an
             "continuum.block.width_x = 1"},
            {"grains { packing { count: 9 box { bottom: -1 } } } continuum { block { } }", "continuum.block.top_z = 0"},
            {"grains { lattice { overlap: 0.1 } }", "grains.lattice.radius = 0.05"},
+           {"grains { lattice { side_overlap: 0.1 } }", "grains.lattice.side_overlap = 0.1"},
+           {"grains { lattice { } } continuum { block { } } packet { length: 1 }", "apply.max_steps = 0 (now 60000)"},
            {"continuum { cylinder_in_brick { } } pile { }", "give grains.packing"},
            {"grains { grain { } } plane { }", "plane[0].normal"}}) {
     const std::string text = complaint(scene);

@@ -4,6 +4,7 @@
 
 #include "continuum_client/cycle.hpp"
 #include "continuum_client/settings.hpp"
+#include "continuum_client/stages.hpp"
 #include "tests/continuum_client/fixtures.hpp"
 
 namespace lockstep::continuum {
@@ -217,6 +218,26 @@ TEST_CASE("a traction loads the faces in its box, and settles a column by p H / 
   CHECK(load_share(load, 4) == 1);
   CHECK(load_share(load, 6) == Approx(0.5));
   CHECK(load_share(load, 8) == 0);
+}
+
+TEST_CASE("held directions hold, and a packet's energy stays") {
+  // A packet along y in a column of zones: 1/2 m v^2 over its nodes at the start, all of it kinetic, and no work ever done.
+  const std::string scene =
+      "gravity: 0 packet { velocity { y: 0.01 } center { z: -5 } length: 4 wavelength: 2 } run { duration: 0.05 } "
+      "continuum { dynamic: true supports: BOTTOM_FIXED block { height: 10 zones_x: 1 zones_y: 1 zones_z: 40 } held { ";
+  const RunReport sheared = run_continuum(parse_scene(scene + "x: true z: true } }", "test.txt"), {}, nullptr, {});
+  // Mean of the squared hump 3/8, of the squared cosine 1/2, over 4 m of 1 m2.
+  const double start = 0.5 * 1630 * 4 * 0.01 * 0.01 * 3.0 / 16;
+  const Ledger& l = sheared.ledger;
+  INFO("start " << l.start << " of " << start << " J, later " << l.kinetic << " + " << l.elastic << ", residual "
+                << sheared.ledger_residual_fraction);
+  CHECK(l.start == Approx(start).epsilon(1e-12));
+  CHECK(l.kinetic + l.elastic == Approx(l.start).epsilon(1e-12));
+  CHECK(l.elastic > 0.3 * l.start);
+  CHECK(sheared.ledger_residual_fraction < 1e-13);
+  const RunReport held = run_continuum(parse_scene(scene + "y: true } }", "test.txt"), {}, nullptr, {});
+  CHECK(held.ledger.start == 0);
+  CHECK(held.largest_displacement == 0);
 }
 
 }  // namespace lockstep::continuum

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/checks.hpp"
+#include "dem_server/cycle.hpp"
 #include "dem_server/packing.hpp"
 
 using namespace lockstep;
@@ -92,4 +93,33 @@ TEST_CASE("what stage Balance depends on is among the packing's keys, and what c
   const auto same = std::find_if(keys.begin(), keys.end(), [](const auto& key) { return key.first == "pile.tip"; });
   REQUIRE(same != keys.end());
   CHECK(same->second == "FLAT");  // defaults stand there in words
+}
+
+TEST_CASE("a lattice has its overlaps in each direction, and spheres that do not turn if it is asked to hold them") {
+  // Pitch 2 R - overlap along z, 2 R - side_overlap along x and y; the floor's share of the overlap is that of a contact
+  // with twice the stiffness. Two neighbours along z sheared by v for a time t: the spring has the force k_s v t, and the
+  // sphere would turn by the torque R k_s v t; held, it turns 4e-13 of that.
+  const auto spin_of = [](const std::string& keys) {
+    const Settings s = make_settings(parse_scene(
+        "grains { stiffness_ratio: 2 friction: 1000 lattice { count_x: 2 count_z: 2 overlap: 1e-5 side_overlap: 3e-5 " +
+            keys + "} }",
+        "lattice"));
+    const Assembly a = assemble(s, 0, [](std::string_view, double) {});
+    const Particles& p = a.particles;
+    CHECK(p.position(1).x() - p.position(0).x() == Approx(0.1 - 3e-5).epsilon(1e-14));
+    CHECK(p.position(2).z() - p.position(0).z() == Approx(0.1 - 1e-5).epsilon(1e-14));
+    CHECK(p.position(0).z() == Approx(0.05 - 0.5e-5).epsilon(1e-14));
+    Model m(0.01);
+    m.particles = a.particles;
+    m.material = s.material;
+    m.particles.velocity(2).y() = m.particles.velocity(3).y() = 1e-6;
+    Held held(1e-6);
+    for (int n = 0; n < 50; ++n) cycle(m, held);
+    CHECK(m.particles.velocity(0).y() > 0);
+    return std::abs(m.particles.spin(0).x());
+  };
+  const double free = spin_of(""), held = spin_of("hold_spins: true ");
+  INFO("spins " << free << " and " << held << " rad/s");
+  CHECK(free > 0);
+  CHECK(held / free == Approx(4e-13).epsilon(0.01));
 }
