@@ -264,7 +264,8 @@ Grid build_grid(const Settings& settings) {
   if (file) {
     check_layers_cut_no_zone(settings.layers, grid);
     if (settings.k0) check_top_is_level(*file, grid);
-    check_zones(grid, file->where, "smooth the mesh there, or take zone_kind: B_BAR or ONE_POINT if it is MIXED_DISCRETIZATION");
+    check_zones(grid, file->where,
+                "smooth the mesh there, or take zone_kind: B_BAR or ONE_POINT if it is MIXED_DISCRETIZATION");
   }
   return grid;
 }

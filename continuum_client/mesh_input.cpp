@@ -119,7 +119,9 @@ FileMesh read_mesh(const std::filesystem::path& path, const std::string& cell_ar
   throw InputError(fmt::format(
       "{} begins with \"{}\"; a Gmsh file begins with \"$MeshFormat\", a VTK file with \"# vtk DataFile\" or "
       "\"<VTKFile\": give one of these",
-      name, shown(std::string_view(bytes).substr(begin, 16))));
+      name,
+      shown(std::string_view(bytes).substr(begin,
+                                           std::min<std::size_t>(16, bytes.find_first_of("\r\n", begin) - begin)))));
 }
 
 }  // namespace lockstep::continuum
