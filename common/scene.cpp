@@ -198,9 +198,10 @@ void collect_lines(const Message& block, const TextFormat::ParseInfoTree& tree, 
 
 // A block whose presence alone adds something to the model: an override must not bring it in by the way.
 bool adds_to_model(const Descriptor& type) {
-  static const std::array<const Descriptor*, 9> types = {
+  static const std::array<const Descriptor*, 11> types = {
       scene::Continuum::descriptor(), scene::CylinderInBrick::descriptor(),
-      scene::Block::descriptor(),     scene::Grains::descriptor(),
+      scene::Block::descriptor(),     scene::MeshFile::descriptor(),
+      scene::Hole::descriptor(),      scene::Grains::descriptor(),
       scene::Packing::descriptor(),   scene::Lattice::descriptor(),
       scene::Box::descriptor(),       scene::Pile::descriptor(),
       scene::Packet::descriptor()};
@@ -266,7 +267,10 @@ void apply_override(const std::string& text, SceneFile& file) {
       continue;
     }
 
-    if (field->cpp_type() == FieldDescriptor::CPPTYPE_STRING) {
+    if (field->cpp_type() == FieldDescriptor::CPPTYPE_STRING && field->is_repeated()) {
+      reflection.ClearField(block, field);
+      reflection.AddString(block, field, value);
+    } else if (field->cpp_type() == FieldDescriptor::CPPTYPE_STRING) {
       reflection.SetString(block, field, value);
     } else {
       FirstError error;
@@ -322,6 +326,7 @@ void check_ranges(const Message& block, const std::string& prefix, const SceneFi
         check_ranges(reflection.GetMessage(block, &field), key, file);
       continue;
     }
+    if (field.is_repeated()) continue;  // of words
     const std::string unit = unit_of(field).empty() ? "" : fmt::format(" ({})", unit_of(field));
     if (!reflection.HasField(block, &field)) {
       if (field.options().GetExtension(scene::required))
@@ -370,6 +375,25 @@ void check_cylinder(const SceneFile& file) {
                     brick.zones_around() / 8 * 8 + 8));
 }
 
+void check_mesh_file(const SceneFile& file) {
+  const scene::MeshFile& mesh = file.scene.continuum().mesh_file();
+  if (file.scene.fidelity().mesh_refinement() != 1)
+    throw InputError(
+        fmt::format("{} = {}, but the zones of continuum.mesh_file are those of its file; leave the key out and "
+                    "write a finer or coarser mesh",
+                    file.where("fidelity.mesh_refinement"), file.scene.fidelity().mesh_refinement()));
+  if (mesh.has_hole() && mesh.discrete_domain_size() == 0)
+    throw InputError(
+        fmt::format("{} describes the discrete domain, but discrete_domain names no group of zones; name it, "
+                    "or leave out hole",
+                    file.where("continuum.mesh_file.hole")));
+  if (mesh.interface_size() > 0 && mesh.discrete_domain_size() > 0)
+    throw InputError(fmt::format(
+        "{} and discrete_domain are both given; the interface is where the zones of the discrete domain meet "
+        "the others: leave out interface",
+        file.where("continuum.mesh_file.interface")));
+}
+
 void check_grains(const SceneFile& file) {
   const scene::Scene& s = file.scene;
   const scene::Grains& grains = s.grains();
@@ -388,23 +412,27 @@ void check_grains(const SceneFile& file) {
   if (!grains.has_packing()) return;
 
   const scene::Packing& packing = grains.packing();
-  const bool has_hole = s.continuum().has_cylinder_in_brick();
+  const scene::MeshFile& mesh_file = s.continuum().mesh_file();
+  const char* hole = s.continuum().has_cylinder_in_brick() ? "continuum.cylinder_in_brick"
+                     : mesh_file.has_hole()                ? "continuum.mesh_file.hole"
+                                                           : nullptr;
   if (!packing.has_box()) {
-    if (!has_hole)
-      throw InputError(
-          fmt::format("{}: the packing has no container; give continuum.cylinder_in_brick, or grains.packing.box",
-                      file.where("grains.packing")));
+    if (!hole)
+      throw InputError(fmt::format(
+          "{}: the packing has no container; give continuum.cylinder_in_brick, continuum.mesh_file.hole, or "
+          "grains.packing.box",
+          file.where("grains.packing")));
     return;
   }
   const scene::Box& box = packing.box();
-  if (has_hole)
-    throw InputError(fmt::format("{}: continuum.cylinder_in_brick is the container already; leave out one of the two",
-                                 file.where("grains.packing.box")));
+  if (hole)
+    throw InputError(fmt::format("{}: {} is the container already; leave out one of the two",
+                                 file.where("grains.packing.box"), hole));
   if (!packing.has_count() && !packing.has_radius())
     throw InputError(fmt::format(
         "{} = {} x {} x {} m, but neither grains.packing.count nor grains.packing.radius is given; give one",
         file.where("grains.packing.box"), box.width_x(), box.width_y(), box.fill_height()));
-  if (!s.has_continuum()) return;
+  if (!s.continuum().has_block()) return;
   const scene::Block& block = s.continuum().block();
   if (box.width_x() > block.width_x())
     throw InputError(
@@ -433,6 +461,10 @@ void check_pile(const SceneFile& file) {
     const scene::CylinderInBrick& brick = s.continuum().cylinder_in_brick();
     width_key = "continuum.cylinder_in_brick.hole_diameter", depth_key = "continuum.cylinder_in_brick.hole_depth";
     width = brick.hole_diameter(), depth = brick.hole_depth(), volume = pi / 4 * width * width * depth;
+  } else if (s.continuum().mesh_file().has_hole()) {
+    const scene::Hole& hole = s.continuum().mesh_file().hole();
+    width_key = "continuum.mesh_file.hole.diameter", depth_key = "continuum.mesh_file.hole.depth";
+    width = hole.diameter(), depth = hole.depth(), volume = pi / 4 * width * width * depth;
   } else {
     const scene::Box& box = s.grains().packing().box();
     width_key = box.width_x() <= box.width_y() ? "grains.packing.box.width_x" : "grains.packing.box.width_y";
@@ -484,9 +516,11 @@ void check_consistency(const SceneFile& file) {
     throw InputError(
         fmt::format("{}: the scene models nothing; give continuum {{ }}, grains {{ }} or both", file.path.string()));
   if (s.has_continuum() && s.continuum().mesh_case() == scene::Continuum::MESH_NOT_SET)
-    throw InputError(fmt::format("{}: the ground has no shape; give cylinder_in_brick {{ }} or block {{ }} in it",
-                                 file.where("continuum")));
+    throw InputError(fmt::format(
+        "{}: the ground has no shape; give cylinder_in_brick {{ }} or block {{ }} in it, or mesh_file {{ }}",
+        file.where("continuum")));
   if (s.continuum().has_cylinder_in_brick()) check_cylinder(file);
+  if (s.continuum().has_mesh_file()) check_mesh_file(file);
   if (s.has_grains()) check_grains(file);
   if (s.has_pile()) check_pile(file);
   check_exchange(file);
@@ -566,6 +600,11 @@ std::string SceneFile::where(const std::string& key) const {
     if (at.find('.') == std::string::npos) break;
   }
   return fmt::format("{}: {}", path.string(), key);
+}
+
+std::filesystem::path SceneFile::resolve(const std::string& file) const {
+  const std::filesystem::path folder = std::filesystem::is_directory(path) ? path : path.parent_path();
+  return folder / file;
 }
 
 SceneFile parse_scene(const std::string& text, const std::filesystem::path& name,

@@ -16,6 +16,8 @@ struct SceneFile {
 
   // "scenarios/x/scene.txt:12: continuum.poisson_ratio": file, line if known, and key, for messages.
   std::string where(const std::string& key) const;
+  // A file that the scene names: relative paths begin in the scene file's folder.
+  std::filesystem::path resolve(const std::string& file) const;
   std::vector<std::pair<std::string, int>> key_lines;  // key path -> line, 1-based
 };
 

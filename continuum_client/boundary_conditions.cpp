@@ -5,11 +5,12 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <map>
+#include <utility>
 
 #include "common/checks.hpp"
 #include "continuum_client/constants.hpp"
 #include "continuum_client/interface_surface.hpp"
+#include "continuum_client/zone_adjacency.hpp"
 
 namespace lockstep::continuum {
 
@@ -63,26 +64,13 @@ Vec3s released_reactions(const Vec3s& before, const Vec3s& after, const Vec3s& i
 }
 
 std::vector<OuterFace> outer_faces(const Grid& grid, const std::vector<char>& is_included) {
-  std::map<std::array<std::int32_t, 4>, int> owners;  // by sorted nodes
-  const auto sorted_face = [&](std::size_t z, const auto& face) {
-    std::array<std::int32_t, 4> key;
-    for (int c = 0; c < 4; ++c) key[c] = grid.zone[z][face[c]];
-    std::sort(key.begin(), key.end());
-    return key;
-  };
-  const auto included = [&](std::size_t z) { return is_included.empty() || is_included[z]; };
-  for (std::size_t z = 0; z < grid.zone_count(); ++z)
-    for (const auto& face : zone_faces)
-      if (included(z)) ++owners[sorted_face(z, face)];
   std::vector<OuterFace> faces;
-  for (std::size_t z = 0; z < grid.zone_count(); ++z)
-    for (const auto& face : zone_faces)
-      if (included(z) && owners[sorted_face(z, face)] == 1) {
-        OuterFace outer;
-        outer.zone = static_cast<std::int32_t>(z);
-        for (int c = 0; c < 4; ++c) outer.node[c] = grid.zone[z][face[c]];
-        faces.push_back(outer);
-      }
+  std::vector<std::pair<std::int32_t, std::int32_t>> place;  // zone and its face
+  for_each_place(sorted_faces(grid.zone, is_included), [&](const ZoneFace* face, std::size_t count) {
+    if (count == 1) place.emplace_back(face->zone, face->face);
+  });
+  std::sort(place.begin(), place.end());
+  for (const auto& [zone, face] : place) faces.push_back({face_nodes(grid.zone[zone], face), zone});
   return faces;
 }
 

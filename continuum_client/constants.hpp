@@ -53,6 +53,23 @@ inline constexpr double congruence_tolerance = 1e-12;
 // A layer's top that agrees with a level to this share of the ground's depth is that level.
 inline constexpr double layer_tolerance = 1e-6;
 
+// Limits of zones from files. Scaled Jacobian: at a corner the volume of the three edges' directions, 1 for right angles and 0
+// for a flat corner; strains, and with them the stable step, go with its inverse. Knupp, SIAM J. Sci. Comput. 23 (2001);
+// Verdict (Sandia report 2007-1751) calls 0.5 and more good. At 0.1 two edges meet at 6 or 174 degrees. Less than flat_corner
+// is round-off of coordinates written with six digits.
+inline constexpr double least_scaled_jacobian = 0.1;
+inline constexpr double flat_corner = 1e-5;
+// Between a corner's normal and the mean one of its face, as a cosine: at 60 degrees a face is nearer to a saddle than to the
+// bilinear patch that grains roll on, and one of its two diagonals is a crease.
+inline constexpr double least_face_cosine = 0.5;
+// Nodes nearer than this share of the model's size are in one place; nodes nearer to a face than this share of the face lie on it.
+inline constexpr double coincidence_tolerance = 1e-9;
+inline constexpr double hanging_tolerance = 1e-6;
+// Of a kind of fault in a mesh file so many are named, and the rest counted.
+inline constexpr std::size_t named_faults = 5;
+// The hole that a scene gives agrees with that of the mesh file to this share of its diameter.
+inline constexpr double hole_tolerance = 1e-3;
+
 // Positions that agree to this share of the model's size lie in one support plane.
 inline constexpr double plane_tolerance = 1e-9;
 

@@ -59,15 +59,15 @@ std::vector<std::int32_t> representative_zones(const Grid& grid) {
   return representative;
 }
 
-void check_zones(const Grid& grid, const std::string& where) {
+void check_zones(const Grid& grid, const std::string& where, const std::string& remedy) {
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     const double smallest = grid.geometry(z).smallest_volume;
     if (!(smallest > 0)) {
       const Vec3 c = grid.zone_center(z);
       throw InputError(fmt::format(
           "{}: the zone around ({:.4g}, {:.4g}, {:.4g}) m is flat or turned inside out (a part of {:.3g} m3); "
-          "use fewer zones or growth nearer to 1",
-          where, c.x(), c.y(), c.z(), smallest));
+          "{}",
+          where, c.x(), c.y(), c.z(), smallest, remedy));
     }
   }
 }

@@ -53,7 +53,8 @@ double fastest_wave(const Grid& grid);
 // all are alike. Zones share the representative's matrices, so that levels of equal height have equal ones to the last bit.
 std::vector<std::int32_t> representative_zones(const Grid& grid);
 
-// Throws InputError with `where` if a zone is turned inside out or flat.
-void check_zones(const Grid& grid, const std::string& where);
+// Throws InputError with `where` and the remedy if a zone is turned inside out or flat, as its kind sees it.
+void check_zones(const Grid& grid, const std::string& where,
+                 const std::string& remedy = "use fewer zones or growth nearer to 1");
 
 }  // namespace lockstep::continuum

@@ -5,7 +5,9 @@
 #include <set>
 
 #include "common/checks.hpp"
+#include "continuum_client/boundary_conditions.hpp"
 #include "continuum_client/constants.hpp"
+#include "continuum_client/mesh_file.hpp"
 
 namespace lockstep::continuum {
 namespace {
@@ -158,6 +160,41 @@ void take_layers(const std::vector<Layer>& layers, Grid& grid) {
       if (grid.zone_center(z).z() < layer.top) grid.material[z] = layer.material;
 }
 
+// A mesh from a file may have a level and zones that reach through it elsewhere.
+void check_layers_cut_no_zone(const std::vector<Layer>& layers, const Grid& grid) {
+  const double tolerance = layer_tolerance * grid.depth();
+  for (const Layer& layer : layers)
+    for (std::size_t z = 0; z < grid.zone_count(); ++z) {
+      double low = grid.high.z(), high = grid.low.z();
+      for (const Vec3& x : grid.corners(z)) low = std::min(low, x.z()), high = std::max(high, x.z());
+      if (low > layer.top - tolerance || high < layer.top + tolerance) continue;
+      const Vec3 c = grid.zone_center(z);
+      throw InputError(
+          fmt::format("{}: its top at {} m lies inside the zone around ({:.4g}, {:.4g}, {:.4g}) m; put the layers into "
+                      "groups of the mesh and give continuum.mesh_file.region instead",
+                      layer.where, layer.top, c.x(), c.y(), c.z()));
+    }
+}
+
+void check_top_is_level(const FileMeshSettings& m, const Grid& grid) {
+  const double tolerance = plane_tolerance * (grid.high - grid.low).maxCoeff();
+  for (const OuterFace& face : outer_faces(grid, {})) {
+    const auto is_in_plane = [&](int axis, double plane) {
+      return std::all_of(face.node.begin(), face.node.end(),
+                         [&](std::int32_t n) { return std::abs(grid.node[n][axis] - plane) <= tolerance; });
+    };
+    bool is_of_box = is_in_plane(2, grid.high.z());
+    for (int axis = 0; axis < 3; ++axis)
+      is_of_box |= is_in_plane(axis, grid.low[axis]) || is_in_plane(axis, grid.high[axis]);
+    if (is_of_box) continue;
+    const Vec3& x = grid.node[face.node[0]];
+    throw InputError(
+        fmt::format("{}: continuum.initial_stress takes the weight above from a level top, but an outer face at "
+                    "({:.4g}, {:.4g}, {:.4g}) m is on none of the six planes of a brick; leave initial_stress out",
+                    m.where, x.x(), x.y(), x.z()));
+  }
+}
+
 }  // namespace
 
 Grid build_block(const BlockMesh& m) {
@@ -216,11 +253,20 @@ Grid build_cylinder_in_brick(const CylinderMesh& m) {
 }
 
 Grid build_grid(const Settings& settings) {
-  const auto* block = std::get_if<BlockMesh>(&settings.mesh);
-  Grid grid = block ? build_block(*block) : build_cylinder_in_brick(std::get<CylinderMesh>(settings.mesh));
+  Grid grid;
+  if (const auto* block = std::get_if<BlockMesh>(&settings.mesh)) grid = build_block(*block);
+  if (const auto* cylinder = std::get_if<CylinderMesh>(&settings.mesh)) grid = build_cylinder_in_brick(*cylinder);
+  const auto* file = std::get_if<FileMeshSettings>(&settings.mesh);
+  if (file) grid = build_from_file(*file);
   grid.zone_kind = settings.zone_kind;
   grid.materials = settings.materials;
   take_layers(settings.layers, grid);
+  if (file) {
+    check_layers_cut_no_zone(settings.layers, grid);
+    if (settings.k0) check_top_is_level(*file, grid);
+    check_zones(grid, file->where,
+                "smooth the mesh there, or take zone_kind: B_BAR or ONE_POINT if it is MIXED_DISCRETIZATION");
+  }
   return grid;
 }
 

@@ -1,4 +1,4 @@
-// Makes the two meshes that scenes can ask for.
+// Makes the two meshes that scenes can ask for without a file (mesh_file.hpp has the third).
 //
 // cylinder_in_brick, a plane of it:
 //

@@ -49,6 +49,22 @@ BlockMesh block_mesh(const scene::Block& b, double refinement, const SceneFile& 
   return m;
 }
 
+Vec3 to_vector(const scene::Point& p) { return {p.x(), p.y(), p.z()}; }
+
+FileMeshSettings file_mesh(const scene::MeshFile& f, const SceneFile& file) {
+  FileMeshSettings m;
+  m.path = file.resolve(f.file());
+  m.scale = f.scale(), m.shift = to_vector(f.shift());
+  m.merge_distance = f.merge_distance();
+  m.cell_array = f.cell_array();
+  m.discrete_domain.assign(f.discrete_domain().begin(), f.discrete_domain().end());
+  m.interface.assign(f.interface().begin(), f.interface().end());
+  m.has_free_faces = f.free_faces();
+  if (f.has_hole()) m.hole = {f.hole().diameter(), f.hole().depth()};
+  m.where = file.where("continuum.mesh_file");
+  return m;
+}
+
 Supports to_supports(scene::Continuum::Supports s) {
   switch (s) {
     case scene::Continuum::ALL_FIXED:
@@ -79,15 +95,40 @@ ZoneKind to_zone_kind(scene::Continuum::ZoneKind kind) {
   throw InternalError("unknown kind of zones");
 }
 
+// What a layer or a region says, and the ground's own for the rest.
+template <class Part>
+Material material_of(const Part& part, const scene::Continuum& c) {
+  return {elastic_moduli(part.has_youngs_modulus() ? part.youngs_modulus() : c.youngs_modulus(),
+                         part.has_poisson_ratio() ? part.poisson_ratio() : c.poisson_ratio()),
+          part.has_density() ? part.density() : c.density()};
+}
+
+void read_regions(const scene::Continuum& c, const SceneFile& file, Settings& r) {
+  auto& mesh = std::get<FileMeshSettings>(r.mesh);
+  for (const scene::Region& region : c.mesh_file().region()) {
+    mesh.regions.push_back({region.name(), static_cast<std::int32_t>(r.materials.size())});
+    r.materials.push_back(material_of(region, c));
+  }
+  if (mesh.regions.empty()) return;
+  if (c.layer_size() > 0)
+    throw InputError(
+        fmt::format("{}: materials by depth (continuum.layer) and by group (mesh_file.region) are both given; "
+                    "give one of the two",
+                    file.where("continuum.layer[0]")));
+  if (c.has_initial_stress())
+    throw InputError(
+        fmt::format("{}: a prescribed stress takes the weight above from continuum.layer, not from "
+                    "mesh_file.region; give layers, or leave initial_stress out",
+                    file.where("continuum.initial_stress")));
+}
+
 void read_layers(const scene::Continuum& c, const SceneFile& file, Settings& r) {
   for (int i = 0; i < c.layer_size(); ++i) {
     const scene::Layer& l = c.layer(i);
-    const double modulus = l.has_youngs_modulus() ? l.youngs_modulus() : c.youngs_modulus();
-    const double ratio = l.has_poisson_ratio() ? l.poisson_ratio() : c.poisson_ratio();
     const std::string where = file.where(fmt::format("continuum.layer[{}].top", i));
     const std::string name = l.name().empty() ? fmt::format("layer {}", i + 1) : l.name();
     r.layers.push_back({l.top(), static_cast<std::int32_t>(r.materials.size()), where + ": " + name});
-    r.materials.push_back({elastic_moduli(modulus, ratio), l.has_density() ? l.density() : c.density()});
+    r.materials.push_back(material_of(l, c));
   }
   std::stable_sort(r.layers.begin(), r.layers.end(), [](const Layer& a, const Layer& b) { return a.top > b.top; });
   for (std::size_t i = 1; i < r.layers.size(); ++i)
@@ -95,8 +136,6 @@ void read_layers(const scene::Continuum& c, const SceneFile& file, Settings& r) 
       throw InputError(fmt::format("{}: two layers have their top at {} m; give one another or leave it out",
                                    r.layers[i].where, r.layers[i].top));
 }
-
-Vec3 to_vector(const scene::Point& p) { return {p.x(), p.y(), p.z()}; }
 
 SurfaceLoad surface_load(const scene::SurfaceLoad& l, int index, const SceneFile& file) {
   SurfaceLoad load{to_vector(l.low()), to_vector(l.high()), to_vector(l.traction()),
@@ -193,9 +232,13 @@ Settings read_settings(const SceneFile& file) {
     case scene::Continuum::kBlock:
       r.mesh = block_mesh(c.block(), refinement, file);
       break;
+    case scene::Continuum::kMeshFile:
+      r.mesh = file_mesh(c.mesh_file(), file);
+      break;
     case scene::Continuum::MESH_NOT_SET:
-      throw InputError(fmt::format("{}: the continuum has no mesh; add cylinder_in_brick {{ }} or block {{ }}",
-                                   file.where("continuum")));
+      throw InputError(
+          fmt::format("{}: the continuum has no mesh; add cylinder_in_brick {{ }}, block {{ }} or mesh_file {{ }}",
+                      file.where("continuum")));
   }
   r.zone_kind = to_zone_kind(c.zone_kind());
   r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density()}};
@@ -207,6 +250,7 @@ Settings read_settings(const SceneFile& file) {
                     "the mesh has at the start",
                     file.where("continuum.large_strain")));
   read_layers(c, file, r);
+  if (c.has_mesh_file()) read_regions(c, file, r);
   if (c.has_initial_stress()) r.k0 = c.initial_stress().k0();
   if (c.has_rayleigh()) {
     const double omega = 2 * pi * c.rayleigh().frequency();

@@ -2,6 +2,7 @@
 // common/scene.proto.
 #pragma once
 #include <cstdint>
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <variant>
@@ -28,6 +29,28 @@ struct BlockMesh {
   double width_x = 0, width_y = 0, height = 0, top_z = 0;  // [m]
   int zones_x = 0, zones_y = 0, zones_z = 0;
   std::string where;
+};
+
+// Zones from a file, as they are there.
+struct FileMeshSettings {
+  struct Region {
+    std::string name;           // of a group of zones
+    std::int32_t material = 0;  // of Settings::materials
+  };
+  struct Hole {
+    double diameter = 0, depth = 0;  // [m]
+  };
+  std::filesystem::path path;
+  double scale = 1;
+  Vec3 shift = Vec3::Zero();                 // [m]
+  double merge_distance = 0;                 // 0: nodes in one place are an error [m]
+  std::string cell_array;                    // of VTK files
+  std::vector<std::string> discrete_domain;  // groups of zones
+  std::vector<std::string> interface;        // groups of faces; empty: the top
+  std::vector<Region> regions;
+  bool has_free_faces = false;  // beside the top
+  std::optional<Hole> hole;
+  std::string where;  // "scene.txt: continuum.mesh_file", for messages
 };
 
 enum class Supports { AllFixed, Rollers, BottomFixed, BottomRoller, Quiet, QuietSides };
@@ -76,9 +99,9 @@ struct ResultSettings {
 
 struct Settings {
   std::string title;
-  std::variant<BlockMesh, CylinderMesh> mesh;
+  std::variant<BlockMesh, CylinderMesh, FileMeshSettings> mesh;
   ZoneKind zone_kind = ZoneKind::MixedDiscretization;
-  std::vector<Material> materials;  // the scene's own first, then those of its layers
+  std::vector<Material> materials;  // the scene's own first, then those of its layers or regions
   bool is_incremental = false, has_large_strain = false;
   std::vector<Layer> layers;     // from the highest down
   std::optional<double> k0;      // prescribed initial stress [-]

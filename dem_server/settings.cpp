@@ -43,6 +43,12 @@ Container container_of(const SceneFile& file) {
     c.radius = 0.5 * mesh.hole_diameter() * std::cos(pi / around);
     c.bottom = -mesh.hole_depth();
     c.top = 0;
+  } else if (scene.continuum().mesh_file().has_hole()) {
+    const auto& hole = scene.continuum().mesh_file().hole();
+    c.kind = Container::Kind::Cylinder;
+    c.radius = 0.5 * hole.diameter();
+    c.bottom = -hole.depth();
+    c.top = 0;
   } else if (packing.has_box()) {
     c.kind = Container::Kind::Box;
     c.half_x = 0.5 * packing.box().width_x();
@@ -51,8 +57,8 @@ Container container_of(const SceneFile& file) {
     c.top = c.bottom + packing.box().fill_height();
   } else {
     throw InputError(fmt::format(
-        "{}: grains.packing has no container; give continuum.cylinder_in_brick, or grains.packing.box with its widths, "
-        "bottom and fill_height",
+        "{}: grains.packing has no container; give continuum.cylinder_in_brick, continuum.mesh_file.hole, or "
+        "grains.packing.box with its widths, bottom and fill_height",
         file.where("grains.packing")));
   }
   return c;
@@ -165,11 +171,9 @@ WallShape cone_of(const scene::Cone& from, const std::string& where) {
 }
 
 WallShape mesh_of(const scene::Mesh& from, const SceneFile& file) {
-  const std::filesystem::path path = from.file();
-  const std::filesystem::path folder = std::filesystem::is_directory(file.path) ? file.path : file.path.parent_path();
-  return MeshShape{std::make_shared<const TriangleMesh>(
-                       read_stl(path.is_absolute() ? path : folder / path, from.scale(), to_vector(from.shift()))),
-                   Vec3::Zero()};
+  return MeshShape{
+      std::make_shared<const TriangleMesh>(read_stl(file.resolve(from.file()), from.scale(), to_vector(from.shift()))),
+      Vec3::Zero()};
 }
 
 WallSettings wall_of(const SceneFile& file, int index) {

@@ -132,6 +132,7 @@ TEST_CASE("An override that fits no key or value fails with the nearest key or t
            {"gravity", "key=value"},
            {"a..b=1", "a key looks like"},
            {"plane[0].normal.x=1", "0 blocks plane"},
+           {"continuum.mesh_file.file=a.msh", "no block continuum.mesh_file"},
            {"grains.lattice.count_x=3", "no block grains.lattice"},
            {"continuum.poisson_ratio=0.7", "(--set): continuum.poisson_ratio = 0.7 is out of range"}}) {
     const std::string text = override_complaint({override_text});
@@ -162,6 +163,15 @@ TEST_CASE("Values that contradict each other fail with both keys, both values an
            {"grains { packing { } }", "grains.packing.box"},
            {"grains { packing { box { } } }", "neither grains.packing.count nor grains.packing.radius"},
            {"grains { packing { count: 9 box { } } } continuum { cylinder_in_brick { } }", "container already"},
+           {"continuum { mesh_file { } }", "continuum.mesh_file.file is missing"},
+           {"continuum { mesh_file { file: 'a.msh' } } fidelity { mesh_refinement: 2 }", "finer or coarser"},
+           {"continuum { mesh_file { file: 'a.msh' hole { diameter: 1 depth: 1 } } }", "names no group"},
+           {"continuum { mesh_file { file: 'a.msh' discrete_domain: 'a' interface: 'b' } }", "leave out interface"},
+           {"grains { packing { } } continuum { mesh_file { file: 'a.msh' } }", "continuum.mesh_file.hole"},
+           {"pile { embedment: 2 } grains { packing { count: 99 } } continuum { mesh_file { file: 'a.msh' "
+            "discrete_domain: "
+            "'a' hole { diameter: 1 depth: 2 } } }",
+            "continuum.mesh_file.hole.depth = 2"},
            {"grains { packing { count: 9 box { width_x: 2 } } } continuum { block { } }",
             "continuum.block.width_x = 1"},
            {"grains { packing { count: 9 box { bottom: -1 } } } continuum { block { } }", "continuum.block.top_z = 0"},
@@ -217,7 +227,7 @@ TEST_CASE("The list of keys names every key once with its default, range and eff
   CHECK(contains(keys, "\n  poisson_ratio "));
   CHECK(contains(keys, "[-0.9, 0.4999]"));
   CHECK(contains(keys, "one of ALL_FIXED, ROLLERS, BOTTOM_FIXED, BOTTOM_ROLLER"));
-  CHECK(contains(keys, "at most one of cylinder_in_brick, block"));
+  CHECK(contains(keys, "at most one of cylinder_in_brick, block, mesh_file"));
   CHECK(contains(keys, "\n    hole_diameter "));
   CHECK(lockstep_version() == "0.1.0");
 }

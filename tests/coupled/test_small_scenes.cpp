@@ -2,6 +2,9 @@
 #include <catch2/catch.hpp>
 #include <cmath>
 
+#include "dem_server/settings.hpp"
+#include "tests/continuum_client/fixtures.hpp"
+#include "tests/continuum_client/mesh_writers.hpp"
 #include "tests/coupled/coupled_fixture.hpp"
 
 namespace lockstep::coupled {
@@ -59,6 +62,58 @@ TEST_CASE("a box of grains settles the block under it by W/A h/M") {
   CHECK(r.grains.grains == Approx(600).epsilon(0.01));
   CHECK(r.zones.settlement == Approx(expected).epsilon(2e-3));
   CHECK(r.grains.worst_vertical_imbalance < 1e-10);
+}
+
+TEST_CASE("a grain at rest presses with its weight on a ground whose mesh is from a file, on its top and in its hole") {
+  // As on the built-in block, whose mesh is written out and shuffled; and at the bottom of a hole that zones were deleted
+  // from: W = 2650 x 4/3 pi R^3 x 9.81.
+  using namespace continuum;
+  const std::string ground = "continuum {{ mesh_file {{ file: '{}' {} }} }} ";
+  const std::string stages =
+      "balance { servo: NONE max_cycles: 0 } apply { damping: 0.7 tolerance: 1e-4 } run { duration: 0.05 damping: 0.7 "
+      "continuum_damping: 0.7 } output { zones: false }";
+  const auto weight = [](double radius) { return 2650 * 4.0 / 3.0 * pi * std::pow(radius, 3) * 9.81; };
+  const auto run = [&](const MeshOnDisk& file, const std::string& domain, const std::string& grain) {
+    return run_in_process(
+        parse_scene(fmt::format(fmt::runtime(ground), file.path().string(), domain) + grain + stages, "test.txt"));
+  };
+  const MeshOnDisk block(vtu(shuffled(plain(brick(0.2, 0.2, 0.1, 4, 4, 2)), 3), VtuForm::Inline));
+  const Reports top = run(block, "", "grains { grain { center { x: 0.013 y: -0.021 z: 0.03 } radius: 0.03 } } ");
+  CAPTURE(top.grains.interface_force.transpose(), weight(0.03));
+  CHECK(top.zones.zones == 32);
+  CHECK(top.grains.interface_force.z() == Approx(-weight(0.03)).epsilon(1e-4));
+  CHECK(top.grains.worst_action_reaction < 1e-14);
+
+  const MeshOnDisk cylinder(msh_4(shuffled(plain(small_cylinder()), 8), true));
+  const Reports hole = run(cylinder, "discrete_domain: 'grains here'",
+                           "grains { grain { center { x: 0.05 y: 0.02 z: -2.4 } radius: 0.1 } } ");
+  CAPTURE(hole.grains.interface_force.transpose(), weight(0.1), hole.zones.excavation_residual, hole.zones.settlement);
+  CHECK(hole.zones.zones_deleted == 192);
+  CHECK(hole.zones.excavation_residual < 1e-10);
+  CHECK(hole.grains.interface_force.z() == Approx(-weight(0.1)).epsilon(1e-3));
+  CHECK(hole.grains.worst_action_reaction < 1e-14);
+}
+
+TEST_CASE("grains pack the hole that a scene gives for its mesh file") {
+  const auto settings =
+      dem::make_settings(parse_scene("continuum { mesh_file { file: 'a.msh' discrete_domain: 'a' hole { diameter: 0.86 "
+                                     "depth: 2.5 } } } grains { packing { } }",
+                                     "test.txt"));
+  REQUIRE(settings.packing);
+  CHECK(settings.packing->container.volume() == Approx(pi / 4 * 0.86 * 0.86 * 2.5));
+}
+
+TEST_CASE("clay over sand, in a mesh from a file, settles by what each gives way") {
+  // Smooth sides and a uniform pressure p: strain p / M in each, exact for distorted zones (patch test).
+  const SceneFile scene = read_scene(scenario("ground_from_file"));
+  const continuum::RunReport report = continuum::run_continuum(scene, {}, nullptr, {});
+  const auto modulus = [](double e, double nu) { return e * (1 - nu) / ((1 + nu) * (1 - 2 * nu)); };
+  const double expected = 1e5 * (0.6 / modulus(5e6, 0.4) + 0.4 / modulus(44.3e6, 0.3));
+  // The weight above the middle of the lowest zones, to the scatter of their heights.
+  const double vertical = -9.81 * (1500 * 0.6 + 1630 * 0.3);
+  CAPTURE(report.settlement, expected, report.settlement / expected - 1, report.bottom_vertical_stress, vertical);
+  CHECK(report.settlement == Approx(expected).epsilon(1e-6));
+  CHECK(report.bottom_vertical_stress == Approx(vertical).epsilon(0.02));
 }
 
 TEST_CASE("the same scene gives the same bits twice") {
