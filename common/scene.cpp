@@ -385,10 +385,12 @@ void check_grains(const SceneFile& file) {
   const scene::Packing& packing = grains.packing();
   const bool has_hole = s.continuum().has_cylinder_in_brick();
   if (!packing.has_box()) {
-    if (!has_hole)
-      throw InputError(
-          fmt::format("{}: the packing has no container; give continuum.cylinder_in_brick, or grains.packing.box",
-                      file.where("grains.packing")));
+    const bool has_walls = !s.has_continuum() && s.wall_size() + s.plane_size() > 0;  // dem_server looks what they enclose
+    if (!has_hole && !has_walls)
+      throw InputError(fmt::format(
+          "{}: the packing has no container; give continuum.cylinder_in_brick, or grains.packing.box, or to grains alone "
+          "walls around them",
+          file.where("grains.packing")));
     return;
   }
   const scene::Box& box = packing.box();
@@ -428,6 +430,8 @@ void check_pile(const SceneFile& file) {
     const scene::CylinderInBrick& brick = s.continuum().cylinder_in_brick();
     width_key = "continuum.cylinder_in_brick.hole_diameter", depth_key = "continuum.cylinder_in_brick.hole_depth";
     width = brick.hole_diameter(), depth = brick.hole_depth(), volume = pi / 4 * width * width * depth;
+  } else if (!s.grains().packing().has_box()) {
+    return;  // dem_server knows what the walls enclose
   } else {
     const scene::Box& box = s.grains().packing().box();
     width_key = box.width_x() <= box.width_y() ? "grains.packing.box.width_x" : "grains.packing.box.width_y";

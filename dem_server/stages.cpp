@@ -51,15 +51,13 @@ class GrainsRun {
         packing_path_(options.packing),
         threads_(options.threads),
         balance_threads_(options.balance_threads),
-        session_([&] {
-          protocol::SessionSettings s;
-          s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings_.peer_timeout));
-          s.record_path = options.record_path;
-          return Session(std::move(channel), protocol::Role::Grains, s);
-        }()) {}
+        session_(make_session(settings_, std::move(channel), options.record_path)) {
+    check_company(settings_, session_ != nullptr, scene);
+  }
 
   RunReport run() {
     try {
+      if (settings_.is_alone) return run_alone();
       shake_hands();
       receive_initial_stress();
       balance();
@@ -67,18 +65,32 @@ class GrainsRun {
       exchange();
       return finish();
     } catch (const Error& error) {
-      session_.abort(static_cast<int>(error.code()), error.what());
+      if (session_) session_->abort(static_cast<int>(error.code()), error.what());
+      report_.is_interrupted = error.code() == ExitCode::Interrupted;
+      end_ = error.what();
       keep_last_state();
       throw;
     } catch (const std::exception& error) {
-      session_.abort(static_cast<int>(ExitCode::Internal), error.what());
+      if (session_) session_->abort(static_cast<int>(ExitCode::Internal), error.what());
       throw;
     }
   }
 
  private:
   class Peer;
+  class NoPeer;
 
+  static std::unique_ptr<Session> make_session(const Settings& settings, std::unique_ptr<protocol::Channel> channel,
+                                               const std::string& record_path) {
+    if (!channel) return nullptr;
+    protocol::SessionSettings s;
+    s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings.peer_timeout));
+    s.record_path = record_path;
+    return std::make_unique<Session>(std::move(channel), protocol::Role::Grains, s);
+  }
+
+  RunReport run_alone();
+  void beat(std::string_view text, double fraction);
   void shake_hands();
   void receive_initial_stress();
   void balance();
@@ -97,12 +109,15 @@ class GrainsRun {
 
   void begin_apply();
   void begin_penetration();
+  void push_pile();
+  void record_step();
   bool is_over() const;
   double penetration() const {
     return stage_ >= protocol::Stage::Apply && settings_.pile ? pile_start_ - model_->pile->tip_z() : 0.0;
   }
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
+  double weight_above(double z) const;
   void set_friction(double grain, double walls_and_pile_factor);
   BottomBalance bottom_balance(const Servo& servo) const;
   double renew_step();
@@ -119,7 +134,7 @@ class GrainsRun {
   bool prints_progress_;
   std::filesystem::path packing_path_;
   int threads_, balance_threads_;
-  Session session_;
+  std::unique_ptr<Session> session_;  // none when the grains are alone
 
   protocol::InitialStress initial_;
   Assembly assembly_;
@@ -151,18 +166,18 @@ void GrainsRun::shake_hands() {
   mine.solver_version = lockstep_version();
   mine.capabilities = {"progress"};
   mine.scene_digest = scene_.digest;
-  const protocol::Hello peer = session_.shake_hands(mine);
-  spdlog::info("stage Hello: peer {} {} at {}, scene {}", peer.solver, peer.solver_version, session_.peer(),
+  const protocol::Hello peer = session_->shake_hands(mine);
+  spdlog::info("stage Hello: peer {} {} at {}, scene {}", peer.solver, peer.solver_version, session_->peer(),
                peer.scene_digest.empty() ? "of its own" : peer.scene_digest);
 }
 
 void GrainsRun::receive_initial_stress() {
   stage_ = protocol::Stage::InitialStress;
   const auto begin = Clock::now();
-  session_.on_progress = [](const protocol::Progress& p) {
+  session_->on_progress = [](const protocol::Progress& p) {
     spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction);
   };
-  initial_ = session_.receive<protocol::InitialStress>();
+  initial_ = session_->receive<protocol::InitialStress>();
   spdlog::info("stage InitialStress (paper step 1): {} nodes, {} facets, unbalanced ratio {:.1e}, after {:.1f} s",
                initial_.nodes.size(), initial_.facets.size(), initial_.unbalanced_ratio, seconds_since(begin));
   if (settings_.pile && initial_.profile.empty())
@@ -233,7 +248,8 @@ void GrainsRun::balance() {
 }
 
 HandedOver GrainsRun::handed_over() const {
-  const double tip_target = settings_.pile ? target_vertical_pressure(-settings_.pile->embedment) : 0.0;
+  const double tip = settings_.pile ? -settings_.pile->embedment : 0.0;  // z [m]
+  const double tip_target = !settings_.pile ? 0.0 : settings_.is_alone ? weight_above(tip) : target_vertical_pressure(tip);
   return {initial_.nodes, initial_.facets, initial_.ring, initial_.traction, initial_.bulk_density, tip_target};
 }
 
@@ -269,7 +285,7 @@ BalanceFigures GrainsRun::make_packing(const HandedOver& ground) {
   assembly_ = assemble(
       settings_, initial_.bulk_density,
       [this](std::string_view text, double fraction) {
-        session_.heartbeat(text, 0.2 * fraction);
+        beat(text, 0.2 * fraction);
         show_packing(0.2 * fraction);
       },
       balance_threads_);
@@ -320,7 +336,7 @@ void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, C
   reached.unbalanced_ratio = figures.unbalanced_ratio;
   reached.particles = m.particles.body_count();
   reached.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
-  session_.send(reached);
+  if (session_) session_->send(reached);
 
   Json entry;
   entry.add("unbalanced_ratio", reached.unbalanced_ratio)
@@ -338,7 +354,7 @@ void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, C
       table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm",
                            ring.center_z, ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
     }
-    spdlog::info("ring pressures:{}", table);
+    if (!table.empty()) spdlog::info("ring pressures:{}", table);
     const double bottom_error = figures.bottom_force - (figures.weight + figures.tip_force);
     if (m.pile)
       spdlog::info(
@@ -365,6 +381,10 @@ void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, C
 BottomBalance GrainsRun::bottom_balance(const Servo& servo) const {
   BottomBalance b;
   b.weight = model_->particles.total_mass() * settings_.gravity;
+  if (settings_.is_alone) {
+    b.force = -model_->wall_totals.force.z();  // smooth sides: what walls carry is the bottom's, less a lid's push
+    b.area = settings_.packing ? settings_.packing->container.cross_section() : 0.0;
+  }
   for (const Ring& ring : servo.rings())
     if (!ring.is_side()) b.force += ring.pressure * ring.area, b.area += ring.area;
   if (model_->pile) b.tip = servo.tip_pressure() * model_->pile->tip_area();
@@ -399,7 +419,7 @@ void GrainsRun::relax() {
     }
     largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap,
                         m.pile_totals.all().max_overlap, m.wall_totals.max_overlap});
-    if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
+    if (n % heartbeat_interval == 0) beat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
   }
   m.gravity = {0, 0, -settings_.gravity};
   spdlog::info("relaxed: largest overlap {:.3f} R after {} cycles, {:.1f} s", largest, m.step, seconds_since(begin));
@@ -420,13 +440,13 @@ void GrainsRun::grow() {
   m.walls = Walls(with_lid, settings_.wall_friction);
   m.walls.set_moving(false, false);
   m.walls.set_friction_share(0);
-  double area = 0;
+  double area = settings_.is_alone ? settings_.packing->container.surface() : 0.0;
   for (std::size_t f = 0; f < m.facets.facet_count(); ++f) area += m.facets.area_vector(f).norm();
   double growth = 1, pressure = 0, reached = 0;
   bool is_growing = true;
   const std::uint64_t begin = m.step;
   const auto begin_time = Clock::now();
-  m.detail = Detail::Forces;  // only the facets' sums are looked at
+  m.detail = Detail::Forces;  // only the sums of facets and walls are looked at
   for (int n = 0; n < grow_cycles && (is_growing || pressure > released_pressure); ++n) {
     if (n % limit_interval == 0) held.time_step = renew_step();
     if (n % grow_interval == 0) {
@@ -435,11 +455,12 @@ void GrainsRun::grow() {
       m.particles.scale_all(1 + change);
     }
     cycle(m, held);
-    pressure += (m.facet_totals.normal_force / area - pressure) / grow_averaging;
+    const double pressing = settings_.is_alone ? m.wall_totals.normal_force : m.facet_totals.normal_force;
+    pressure += (pressing / area - pressure) / grow_averaging;
     reached = std::max(reached, pressure);
     is_growing = is_growing && pressure < grown_pressure;
     if (n % heartbeat_interval == 0)
-      session_.heartbeat("growing the packing into its gaps", 0.3 + 0.1 * std::min(1.0, pressure / grown_pressure));
+      beat("growing the packing into its gaps", 0.3 + 0.1 * std::min(1.0, pressure / grown_pressure));
   }
   refit(assembly_, settings_, initial_.bulk_density, m.particles);
   m.walls = Walls(settings_.all_walls(), settings_.wall_friction);
@@ -482,7 +503,7 @@ void GrainsRun::settle(Servo& servo) {
     is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done &&
                   m.walls.worst_servo_error() < b.traction_tolerance;
     const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
-    session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
+    beat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
     stage_fraction_ = 0.3 + 0.7 * fraction;
     show_progress(ratio);
     watch();
@@ -521,7 +542,7 @@ void GrainsRun::excavate() {
   stage_ = protocol::Stage::Excavate;
   const auto begin = Clock::now();
   Model& m = *model_;
-  const auto theirs = session_.receive<protocol::ContinuumExcavated>();
+  const auto theirs = session_->receive<protocol::ContinuumExcavated>();
   if (theirs.position_hash != 0 && theirs.position_hash != m.facets.position_hash())
     throw PeerError(fmt::format(
         "ContinuumExcavated.position_hash is {:016x}, but the nodes sent with InitialStress hash to {:016x}: "
@@ -538,7 +559,7 @@ void GrainsRun::excavate() {
   reply.node_stiffness = told_stiffness_;
   reply.nodal_force = m.facets.nodal_force();
   reply.position_hash = m.facets.position_hash();
-  session_.send(reply);
+  session_->send(reply);
   spdlog::info(
       "stage Excavate (paper step 3): peer deleted {} zones, residual {:.1e}; stable steps {:.3e} s (grains, body {}) "
       "and "
@@ -557,7 +578,7 @@ class GrainsRun::Peer : public Boundary {
   bool move_facets(Model& m) override {
     {
       const auto timing = m.profile.measure(Phase::WaitForPeer);
-      if (!run_.session_.receive_or_finish(velocities_)) return false;
+      if (!run_.session_->receive_or_finish(velocities_)) return false;
     }
     m.facets.advance(velocities_.velocity, m.last_time_step);
     if (velocities_.position_hash != 0 && velocities_.position_hash != m.facets.position_hash())
@@ -574,11 +595,7 @@ class GrainsRun::Peer : public Boundary {
     m.time_step = velocities_.time_step;
     if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply)
       run_.begin_penetration();
-    if (run_.stage_ == protocol::Stage::Penetrate && m.pile) {
-      const PileSettings& pile = *run_.settings_.pile;
-      const double ramp = std::min(1.0, (m.time - run_.penetration_begin_) / pile.speed_ramp);
-      m.pile->set_velocity(-pile.velocity * ramp);
-    }
+    run_.push_pile();
     return true;
   }
 
@@ -594,7 +611,7 @@ class GrainsRun::Peer : public Boundary {
     forces_.energies = {e.kinetic,  e.elastic,       e.gravity_work,  e.damped + e.dashpots,
                         e.friction, e.boundary_work, e.interface_work};
     tell_stiffness(m);
-    run_.session_.send(forces_);
+    run_.session_->send(forces_);
   }
 
   // After the cycle, while the message is on its way.
@@ -660,6 +677,31 @@ void GrainsRun::begin_penetration() {
   next_snapshot_ = 0;
 }
 
+// The pile's speed in the step to come.
+void GrainsRun::push_pile() {
+  Model& m = *model_;
+  if (stage_ != protocol::Stage::Penetrate || !m.pile) return;
+  const PileSettings& pile = *settings_.pile;
+  const double ramp = std::min(1.0, (m.time - penetration_begin_) / pile.speed_ramp);
+  m.pile->set_velocity(-pile.velocity * ramp);
+}
+
+// After each step: histories, snapshots, alarms.
+void GrainsRun::record_step() {
+  const Model& m = *model_;
+  output_.record(m, s_over_d(), unbalanced_ratio(m));
+  if (m.step % heartbeat_interval == 0) {
+    watch();
+    show_progress(unbalanced_ratio(m));
+  }
+  if (stage_ != protocol::Stage::Penetrate || settings_.snapshot_interval <= 0) return;
+  const double now = settings_.pile ? s_over_d() : m.time - penetration_begin_;
+  if (now >= next_snapshot_) {
+    output_.snapshot(m, settings_);
+    next_snapshot_ += settings_.snapshot_interval;
+  }
+}
+
 void GrainsRun::exchange() {
   begin_apply();
   if (settings_.pile) pile_start_ = model_->pile->tip_z();
@@ -668,19 +710,79 @@ void GrainsRun::exchange() {
   peer.start();
   while (cycle(m, peer)) {
     peer.take_stock(m);
-    output_.record(m, s_over_d(), unbalanced_ratio(m));
-    if (m.step % heartbeat_interval == 0) {
-      watch();
-      show_progress(unbalanced_ratio(m));
-    }
-    if (stage_ == protocol::Stage::Penetrate && settings_.snapshot_interval > 0) {
-      const double now = settings_.pile ? s_over_d() : m.time - penetration_begin_;
-      if (now >= next_snapshot_) {
-        output_.snapshot(m, settings_);
-        next_snapshot_ += settings_.snapshot_interval;
-      }
-    }
+    record_step();
   }
+}
+
+// ---------------------------------------------------------------------------------------------- grains alone
+
+// Nobody moves facets, since there are none: the grains hold their own step.
+class GrainsRun::NoPeer : public Boundary {
+ public:
+  explicit NoPeer(GrainsRun& run) : run_(run) {}
+
+  bool move_facets(Model& m) override {
+    const Settings& settings = run_.settings_;
+    const bool is_timed_out = !settings.pile && m.time - run_.penetration_begin_ >= settings.run_duration;
+    if (run_.is_over() || is_timed_out) return false;
+    if (m.step % limit_interval == 0) renew_step(m);
+    m.time_step = time_step_;
+    run_.push_pile();
+    return true;
+  }
+  void take_forces(Model&) override {}
+
+ private:
+  // As in a coupled run the step is cut when contacts ask for it, and never grows.
+  void renew_step(const Model& m) {
+    const StepLimit limit = stable_step(m, run_.settings_.step_damping);
+    const double step = run_.settings_.step_fraction * limit.step;
+    if (step >= time_step_) return;
+    if (step < told_ / stiffness_growth) {
+      spdlog::info("step {}: time step {:.4e} s, {} of the limit of grain {}", m.step, step,
+                   run_.settings_.step_fraction, limit.worst_body);
+      told_ = step;
+    }
+    time_step_ = step;
+  }
+
+  GrainsRun& run_;
+  double time_step_ = std::numeric_limits<double>::infinity();  // of the next steps [s]
+  double told_ = std::numeric_limits<double>::infinity();       // as last logged [s]
+};
+
+// Balance and Penetrate in one process. What stage Apply is to a coupled run is a moment here: friction of walls and pile
+// is switched on, and time and S are counted from there.
+RunReport GrainsRun::run_alone() {
+  balance();
+  begin_apply();
+  begin_penetration();
+  NoPeer no_peer(*this);
+  while (cycle(*model_, no_peer)) record_step();
+  end_ = interrupt_requested() ? "the user interrupted the run"
+         : settings_.pile      ? "the pile is there"
+                               : "run.duration is over";
+  return finish();
+}
+
+// A sign of life to the peer while the packing is made; alone, only the user's Ctrl-C is looked for.
+void GrainsRun::beat(std::string_view text, double fraction) {
+  if (session_)
+    session_->heartbeat(text, fraction);
+  else if (interrupt_requested())
+    throw Interrupted("interrupted in stage Balance");
+}
+
+// Vertical pressure at z in grains alone at rest between smooth walls: the weight of a packing of the scene's porosity
+// above, and lids that press [Pa].
+double GrainsRun::weight_above(double z) const {
+  if (!settings_.packing) return 0;
+  const PackingSettings& packing = *settings_.packing;
+  double pressure = settings_.density * (1 - packing.porosity) * settings_.gravity * (packing.container.top - z);
+  for (const WallSettings& wall : settings_.walls)
+    if (const auto* plane = std::get_if<PlaneShape>(&wall.shape); plane && wall.servo && plane->normal.z() < 0)
+      pressure += wall.servo->pressure;
+  return pressure;
 }
 
 bool GrainsRun::is_over() const {
@@ -690,10 +792,13 @@ bool GrainsRun::is_over() const {
 
 RunReport GrainsRun::finish() {
   Model& m = *model_;
-  end_ = session_.finish().text;
-  report_.is_interrupted = interrupt_requested() || session_.finish().is_interrupted;
-  session_.send(protocol::Message(protocol::Finish{
-      m.step, interrupt_requested() ? "the user of the grains interrupted the run" : "done", interrupt_requested()}));
+  report_.is_interrupted = interrupt_requested();
+  if (session_) {
+    end_ = session_->finish().text;
+    report_.is_interrupted |= session_->finish().is_interrupted;
+    session_->send(protocol::Message(protocol::Finish{
+        m.step, interrupt_requested() ? "the user of the grains interrupted the run" : "done", interrupt_requested()}));
+  }
   if (stage_ == protocol::Stage::Penetrate)
     spdlog::info(
         "stage Velocities, Forces, Advance (paper steps 5 to 7): {} steps, S/D {:.3f}, tip {:.3g} MPa, shaft {:.3g} "
@@ -771,6 +876,8 @@ void GrainsRun::show_progress(double unbalanced) {
                         s_over_d(), output_.tip_resistance() / 1000);
   else if (stage_ == protocol::Stage::Balance)
     line += fmt::format(" fraction={:.4f}", stage_fraction_);
+  else if (settings_.is_alone && settings_.run_duration > 0)
+    line += fmt::format(" fraction={:.4f}", (m.time - penetration_begin_) / settings_.run_duration);
   print_progress(line);
 }
 
@@ -818,6 +925,17 @@ Json GrainsRun::summary() {
         .add("s_over_d", s_over_d())
         .add("tip_resistance_pa", output_.tip_resistance())
         .add("shaft_force_n", output_.shaft_force());
+  Json walls;
+  for (std::size_t k = 0; k < settings_.walls.size(); ++k) {
+    const WallTotals& totals = m.walls.totals()[k];
+    Json wall;
+    wall.add("force_n", std::vector<double>{totals.force.x(), totals.force.y(), totals.force.z()})
+        .add("contacts", static_cast<std::int64_t>(totals.contacts));
+    if (m.walls.has_servo(k))
+      wall.add("pressure_pa", m.walls.pressure(k)).add("servo_way_m", m.walls.state(k).servo_way);
+    walls.add(m.walls.name(k), wall);
+  }
+  if (!settings_.walls.empty()) j.add("walls", walls);
   const GrainEnergies& e = m.ledger.energies();
   j.add("energies_j", Json()
                           .add("kinetic", e.kinetic)
@@ -843,13 +961,24 @@ Json GrainsRun::summary() {
                                 .add("ledger", m.profile.seconds(Phase::Ledger))
                                 .add("measurements", output_.measuring_seconds()));
   j.add("list_builds", m.contacts.rebuilds()).add("list_refreshes", m.contacts.refreshes());
-  j.add("bytes_sent", session_.bytes_sent()).add("bytes_received", session_.bytes_received());
+  if (session_) j.add("bytes_sent", session_->bytes_sent()).add("bytes_received", session_->bytes_received());
   j.add("state_hash", fmt::format("{:016x}", m.hash()));
   j.add("position_hash", fmt::format("{:016x}", m.facets.position_hash()));
   return j;
 }
 
 }  // namespace
+
+void check_company(const Settings& settings, bool has_peer, const SceneFile& scene) {
+  if (settings.is_alone && has_peer)
+    throw InputError(fmt::format("{}: the scene has no continuum, so there is no peer to wait for; leave --listen out",
+                                 scene.path.string()));
+  if (!settings.is_alone && !has_peer)
+    throw InputError(
+        fmt::format("{}: the scene has a continuum; say with --listen HOST:PORT where the grains wait for its program "
+                    "(127.0.0.1:0 takes a free port), or start both with tools/run",
+                    scene.path.string()));
+}
 
 RunReport run_grains(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options) {
   return GrainsRun(scene, std::move(channel), options).run();

@@ -1,4 +1,4 @@
-// The grains' side of a session, stage by stage (design of the seven steps: protocol/README.md).
+// The grains' side of a session, stage by stage, and grains alone (design of the seven steps: protocol/README.md).
 #pragma once
 #include <cstdint>
 #include <filesystem>
@@ -9,6 +9,8 @@
 #include "protocol/channel.hpp"
 
 namespace lockstep::dem {
+
+struct Settings;
 
 struct RunOptions {
   std::filesystem::path results;  // folder; empty: nothing is written
@@ -41,7 +43,11 @@ struct RunReport {
   std::string end;                      // the continuum's words
 };
 
-// Runs the session over `channel` to its end. Throws the kinds of common/checks.hpp; the peer has been told why by
+// InputError when the scene has a continuum and no peer, or a peer and no continuum.
+void check_company(const Settings& settings, bool has_peer, const SceneFile& scene);
+
+// Runs the session over `channel` to its end; without a channel a scene that has grains alone: Balance, then Penetrate.
+// InputError as check_company()'s. Throws the kinds of common/checks.hpp; the peer has been told why by
 // then.
 RunReport run_grains(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options);
 
