@@ -385,12 +385,14 @@ void check_grains(const SceneFile& file) {
   const scene::Packing& packing = grains.packing();
   const bool has_hole = s.continuum().has_cylinder_in_brick();
   if (!packing.has_box()) {
-    const bool has_walls = !s.has_continuum() && s.wall_size() + s.plane_size() > 0;  // dem_server looks what they enclose
+    const bool has_walls =
+        !s.has_continuum() && s.wall_size() + s.plane_size() > 0;  // dem_server looks what they enclose
     if (!has_hole && !has_walls)
-      throw InputError(fmt::format(
-          "{}: the packing has no container; give continuum.cylinder_in_brick, or grains.packing.box, or to grains alone "
-          "walls around them",
-          file.where("grains.packing")));
+      throw InputError(
+          fmt::format("{}: the packing has no container; give continuum.cylinder_in_brick, or grains.packing.box, or "
+                      "to grains alone "
+                      "walls around them",
+                      file.where("grains.packing")));
     return;
   }
   const scene::Box& box = packing.box();

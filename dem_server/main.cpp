@@ -71,9 +71,9 @@ int run(const Arguments& arguments) {
   const SceneFile scene = read_scene(arguments.scene, arguments.overrides);
   // What is wrong with the scene or its packing is said before a port is opened.
   const dem::Settings settings = dem::make_settings(scene);
-  dem::check_company(settings, !arguments.listen.empty(), scene);
   if (!arguments.packing.empty()) dem::open_packing(arguments.packing, settings.packing_keys);
   if (!arguments.results.empty()) prepare_folder(arguments.results);
+  dem::check_company(settings, !arguments.listen.empty(), scene);
   std::unique_ptr<protocol::Channel> channel;
   if (!arguments.listen.empty()) {
     const auto [host, port] = split_address(arguments.listen);
@@ -100,11 +100,13 @@ int run(const Arguments& arguments) {
 int main(int argc, char** argv) {
   using namespace lockstep;
   Arguments arguments;
-  CLI::App app("Lockstep's discrete elements: listens for a continuum client and runs a scene with it, or runs grains alone.");
+  CLI::App app(
+      "Lockstep's discrete elements: listens for a continuum client and runs a scene with it, or runs grains alone.");
   app.footer(examples);
   app.add_option("scene", arguments.scene, "scene file, or a folder with scene.txt");
-  app.add_option("--listen", arguments.listen,
-                 "HOST:PORT for the continuum client; port 0 takes a free one and prints it; not for scenes without continuum");
+  app.add_option(
+      "--listen", arguments.listen,
+      "HOST:PORT for the continuum client; port 0 takes a free one and prints it; not for scenes without continuum");
   app.add_option("--results", arguments.results,
                  "folder for histories, ParaView files and summary; none: nothing is written");
   app.add_option("--set", arguments.overrides, "KEY=VALUE, overrides a key of the scene; give the peer the same")

@@ -66,7 +66,8 @@ Container enclosed_by(const std::vector<WallSettings>& walls, const SceneFile& f
   if (!has_sides || !std::isfinite(low.z()))
     throw InputError(fmt::format(
         "{}: the walls enclose nothing that a packing could fill: {}; give an upright cylinder {{ axis {{ z: 1 }} }} "
-        "around x = y = 0 with the grains INSIDE or four planes across x and y, and below them a plane {{ normal {{ z: 1 "
+        "around x = y = 0 with the grains INSIDE or four planes across x and y, and below them a plane {{ normal {{ z: "
+        "1 "
         "}} }}, or grains.packing.box",
         file.where("grains.packing"), has_sides ? "they have no bottom" : "they have no sides"));
   Container c;
@@ -79,19 +80,21 @@ Container enclosed_by(const std::vector<WallSettings>& walls, const SceneFile& f
     c.half_y = 0.5 * (high.y() - low.y());
     for (int axis = 0; axis < 2; ++axis)
       if (std::abs(low[axis] + high[axis]) > centred * (high[axis] - low[axis]))
-        throw InputError(fmt::format("{0}: the walls across {1} stand at {1} = {2} and {3} m; the packing's box is centred: "
-                                     "move both to the same distance from {1} = 0",
-                                     file.where("grains.packing"), "xy"[axis], low[axis], high[axis]));
+        throw InputError(
+            fmt::format("{0}: the walls across {1} stand at {1} = {2} and {3} m; the packing's box is centred: "
+                        "move both to the same distance from {1} = 0",
+                        file.where("grains.packing"), "xy"[axis], low[axis], high[axis]));
   }
   const double fill_height = file.scene.grains().packing().fill_height();
   c.bottom = low.z();
   c.top = fill_height > 0 ? c.bottom + fill_height : std::isfinite(high.z()) ? high.z() : 0.0;
   c.has_lid = c.top == high.z();
   if (!(c.top > c.bottom) || c.top > high.z() || !(c.half_x >= 0 && c.half_y >= 0))
-    throw InputError(fmt::format(
-        "{} = {} m leaves nothing to fill: the bottom is at z = {} m, the fill level at {} m, the lid at {} m; give a height "
-        "between",
-        file.where("grains.packing.fill_height"), fill_height, c.bottom, c.top, high.z()));
+    throw InputError(
+        fmt::format("{} = {} m leaves nothing to fill: the bottom is at z = {} m, the fill level at {} m, the lid at "
+                    "{} m; give a height "
+                    "between",
+                    file.where("grains.packing.fill_height"), fill_height, c.bottom, c.top, high.z()));
   return c;
 }
 
@@ -125,10 +128,11 @@ void check_pile_alone(const SceneFile& file, const PileSettings& pile, const Con
   const double width = 2 * (c.kind == Container::Kind::Cylinder ? c.radius : std::min(c.half_x, c.half_y));
   const double final_depth = pile.embedment + pile.penetration;
   if (std::abs(c.top) > centred * (c.top - c.bottom))
-    throw InputError(fmt::format(
-        "{} = {} m is counted from z = 0, but the packing is filled to z = {} m; move its walls by {} m, or change the "
-        "fill height",
-        file.where("pile.embedment"), pile.embedment, c.top, -c.top));
+    throw InputError(
+        fmt::format("{} = {} m is counted from z = 0, but the packing is filled to z = {:.6g} m; move its walls by "
+                    "{:.6g} m, or change the "
+                    "fill height",
+                    file.where("pile.embedment"), pile.embedment, c.top, -c.top));
   if (2 * pile.shape.radius >= width)
     throw InputError(fmt::format("{} = {} m leaves no room in a container of {} m; give a thinner pile or wider walls",
                                  file.where("pile.diameter"), 2 * pile.shape.radius, width));

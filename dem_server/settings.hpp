@@ -23,12 +23,12 @@ namespace lockstep::dem {
 // move on.
 struct Container {
   enum class Kind { Cylinder, Box } kind = Kind::Cylinder;
-  double radius = 0;      // cylinder [m]
-  double half_x = 0;      // box [m]
-  double half_y = 0;      // box [m]
-  double bottom = 0;      // [m]
-  double top = 0;         // fill level [m]
-  bool has_lid = false;   // a plane at the fill level
+  double radius = 0;             // cylinder [m]
+  double half_x = 0;             // box [m]
+  double half_y = 0;             // box [m]
+  double bottom = 0;             // [m]
+  double top = 0;                // fill level [m]
+  bool has_lid = false;          // a plane at the fill level
   double cross_section() const;  // [m2]
   double surface() const;        // sides, bottom and top [m2]
   double volume() const;         // [m3]

@@ -249,7 +249,9 @@ void GrainsRun::balance() {
 
 HandedOver GrainsRun::handed_over() const {
   const double tip = settings_.pile ? -settings_.pile->embedment : 0.0;  // z [m]
-  const double tip_target = !settings_.pile ? 0.0 : settings_.is_alone ? weight_above(tip) : target_vertical_pressure(tip);
+  const double tip_target = !settings_.pile      ? 0.0
+                            : settings_.is_alone ? weight_above(tip)
+                                                 : target_vertical_pressure(tip);
   return {initial_.nodes, initial_.facets, initial_.ring, initial_.traction, initial_.bulk_density, tip_target};
 }
 
@@ -279,6 +281,12 @@ void GrainsRun::make_model() {
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     reach_ = std::max(reach_, std::as_const(m.particles).position(b).norm());
   for (const Vec3& x : initial_.nodes) reach_ = std::max(reach_, x.norm());
+  if (!settings_.is_alone) return;
+  // No ground says how wide the scene is: what flies and falls freely as long as the run lasts is still in it.
+  double speed = 0;
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+    speed = std::max(speed, std::as_const(m.particles).velocity(b).norm());
+  reach_ += settings_.run_duration * (speed + 0.5 * settings_.gravity * settings_.run_duration);
 }
 
 BalanceFigures GrainsRun::make_packing(const HandedOver& ground) {
@@ -827,6 +835,9 @@ RunReport GrainsRun::finish() {
   r.kinetic_energy = m.ledger.energies().kinetic;
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     r.momentum += m.particles.mass(b) * m.particles.velocity(b);
+  r.mass = m.particles.total_mass();
+  for (std::size_t k = 0; k < settings_.walls.size(); ++k)
+    r.walls.push_back({m.walls.totals()[k].force, m.walls.has_servo(k) ? m.walls.pressure(k) : 0.0});
   r.end = end_;
   return r;
 }

@@ -4,8 +4,10 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/scene.hpp"
+#include "common/vectors.hpp"
 #include "protocol/channel.hpp"
 
 namespace lockstep::dem {
@@ -19,6 +21,12 @@ struct RunOptions {
   std::filesystem::path packing;  // balanced packing: taken from this file, or written to it; empty: made and not kept
   int threads = 1;                // from Apply on
   int balance_threads = 1;        // while the peer waits: stage Balance; no bit depends on either
+};
+
+// Of a `wall` block at the end.
+struct WallReport {
+  Vec3 force = Vec3::Zero();  // on the wall [N]
+  double pressure = 0;        // on its servo's area; 0 without a servo [Pa]
 };
 
 // What a run came to, for tests and for main's last words.
@@ -39,8 +47,10 @@ struct RunReport {
   double worst_action_reaction = 0;     // over the largest force sum [-]
   double kinetic_energy = 0;            // of the grains [J]
   Vec3 momentum = Vec3::Zero();         // [kg m/s]
-  bool is_interrupted = false;          // by the user of either side
-  std::string end;                      // the continuum's words
+  double mass = 0;                      // of the grains [kg]
+  std::vector<WallReport> walls;
+  bool is_interrupted = false;  // by the user of either side
+  std::string end;              // the continuum's words
 };
 
 // InputError when the scene has a continuum and no peer, or a peer and no continuum.
