@@ -118,6 +118,7 @@ class GrainsRun {
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
   double weight_above(double z) const;
+  double tip_target() const;
   void set_friction(double grain, double walls_and_pile_factor);
   BottomBalance bottom_balance(const Servo& servo) const;
   double renew_step();
@@ -235,7 +236,7 @@ void GrainsRun::balance() {
   m.team = std::make_unique<Team>(threads_);
   evaluate_forces(m);
   if (!is_given) packing->figures.porosity = bulk_porosity(settings_, assembly_, m.particles);
-  tell_balance(packing->figures, ground.tip_target, begin);
+  tell_balance(packing->figures, tip_target(), begin);
   if (is_given) {
     spdlog::info("the balanced packing was taken from {}", packing_path_.string());
   } else if (!packing_path_.empty()) {
@@ -248,11 +249,8 @@ void GrainsRun::balance() {
 }
 
 HandedOver GrainsRun::handed_over() const {
-  const double tip = settings_.pile ? -settings_.pile->embedment : 0.0;  // z [m]
-  const double tip_target = !settings_.pile      ? 0.0
-                            : settings_.is_alone ? weight_above(tip)
-                                                 : target_vertical_pressure(tip);
-  return {initial_.nodes, initial_.facets, initial_.ring, initial_.traction, initial_.bulk_density, tip_target};
+  return {initial_.nodes,    initial_.facets,       initial_.ring,
+          initial_.traction, initial_.bulk_density, settings_.is_alone ? 0.0 : tip_target()};
 }
 
 // The grains of `assembly_`, and what is around them.
@@ -300,12 +298,11 @@ BalanceFigures GrainsRun::make_packing(const HandedOver& ground) {
   make_model();
   ServoSettings servo_settings;
   servo_settings.max_travel = settings_.balance.max_servo_travel * assembly_.mean_radius;
-  Servo servo(*model_, ground.ring, ground.traction, ground.tip_target, servo_settings);
-  if (settings_.balance.max_cycles > 0) {
-    relax();
-    if (settings_.packing) grow();
-    settle(servo);
-  }
+  const bool is_cycled = settings_.balance.max_cycles > 0;
+  if (is_cycled) relax();
+  if (is_cycled && settings_.packing) grow();
+  Servo servo(*model_, ground.ring, ground.traction, tip_target(), servo_settings);
+  if (is_cycled) settle(servo);
   return figures_of(servo);
 }
 
@@ -781,16 +778,22 @@ void GrainsRun::beat(std::string_view text, double fraction) {
     throw Interrupted("interrupted in stage Balance");
 }
 
-// Vertical pressure at z in grains alone at rest between smooth walls: the weight of a packing of the scene's porosity
-// above, and lids that press [Pa].
+// Vertical pressure at z in grains alone at rest between smooth walls: their weight above, and lids that press [Pa].
 double GrainsRun::weight_above(double z) const {
   if (!settings_.packing) return 0;
-  const PackingSettings& packing = *settings_.packing;
-  double pressure = settings_.density * (1 - packing.porosity) * settings_.gravity * (packing.container.top - z);
+  const double bulk_density = assembly_.solid_density * (1 - assembly_.overall_porosity);  // [kg/m3]
+  double pressure = bulk_density * settings_.gravity * (settings_.packing->container.top - z);
   for (const WallSettings& wall : settings_.walls)
     if (const auto* plane = std::get_if<PlaneShape>(&wall.shape); plane && wall.servo && plane->normal.z() < 0)
       pressure += wall.servo->pressure;
   return pressure;
+}
+
+// Of stage Balance: what the ground carried at the tip's depth, or alone the grains [Pa].
+double GrainsRun::tip_target() const {
+  if (!settings_.pile) return 0;
+  const double z = -settings_.pile->embedment;
+  return settings_.is_alone ? weight_above(z) : target_vertical_pressure(z);
 }
 
 bool GrainsRun::is_over() const {
