@@ -417,10 +417,12 @@ void check_grains(const SceneFile& file) {
                      : mesh_file.has_hole()                ? "continuum.mesh_file.hole"
                                                            : nullptr;
   if (!packing.has_box()) {
-    if (!hole)
+    const bool has_walls =
+        !s.has_continuum() && s.wall_size() + s.plane_size() > 0;  // dem_server looks what they enclose
+    if (!hole && !has_walls)
       throw InputError(fmt::format(
           "{}: the packing has no container; give continuum.cylinder_in_brick, continuum.mesh_file.hole, or "
-          "grains.packing.box",
+          "grains.packing.box, or to grains alone walls around them",
           file.where("grains.packing")));
     return;
   }
@@ -465,6 +467,8 @@ void check_pile(const SceneFile& file) {
     const scene::Hole& hole = s.continuum().mesh_file().hole();
     width_key = "continuum.mesh_file.hole.diameter", depth_key = "continuum.mesh_file.hole.depth";
     width = hole.diameter(), depth = hole.depth(), volume = pi / 4 * width * width * depth;
+  } else if (!s.grains().packing().has_box()) {
+    return;  // dem_server knows what the walls enclose
   } else {
     const scene::Box& box = s.grains().packing().box();
     width_key = box.width_x() <= box.width_y() ? "grains.packing.box.width_x" : "grains.packing.box.width_y";

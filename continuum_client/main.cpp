@@ -57,6 +57,9 @@ int run(const std::string& scene_path, const std::vector<std::string>& overrides
   continuum::read_settings(scene);  // what is wrong with the scene or the folder is said before a peer is involved
   if (!results.empty()) prepare_folder(results);
   std::unique_ptr<protocol::Channel> channel;
+  if (!address.empty() && !scene.scene.has_grains())  // before it waits for someone who will never come
+    throw InputError(fmt::format("{}: the scene has no grains, so there is no peer to connect to; leave --connect out",
+                                 scene.path.string()));
   if (!address.empty()) {
     const Address a = parse_address(address);
     const auto patience = std::chrono::duration<double>(scene.scene.coupling().connect_timeout());

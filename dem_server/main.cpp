@@ -9,7 +9,9 @@
 // It listens; the continuum client connects. In two terminals:
 //   dem_server scenarios/grain_on_block --listen 127.0.0.1:4711
 //   continuum_client scenarios/grain_on_block --connect 127.0.0.1:4711
-// Any program that speaks protocol/coupling.proto may take the client's place.
+// Any program that speaks protocol/coupling.proto may take the client's place. A scene that has grains alone runs here
+// from beginning to end:
+//   dem_server scenarios/pressed_cube
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
@@ -32,14 +34,15 @@ namespace {
 constexpr const char* examples = R"(Examples:
   dem_server scenarios/pile_quick --listen 127.0.0.1:4711 --results runs/by_hand
   dem_server scenarios/pile_quick --listen 127.0.0.1:0          (takes a free port and prints it)
-  dem_server scenarios/pile_quick --set fidelity.pile_velocity=0.5 --set seed=7
-  dem_server scenarios/pile_quick --packing pile.packing        (writes the balanced packing; the next run takes it)
+  dem_server scenarios/pile_quick --listen 127.0.0.1:0 --set fidelity.pile_velocity=0.5 --set seed=7
+  dem_server scenarios/pile_quick --listen 127.0.0.1:0 --packing pile.packing        (writes the balanced packing; the next run takes it)
+  dem_server scenarios/pressed_cube --results runs/cube         (grains alone: no peer, no port)
   dem_server --keys                                             (every key of a scene with unit, default and range)
 Exit codes: 0 done, 1 wrong input, 2 file or port, 3 peer, 4 numerical, 5 internal, 130 interrupted.)";
 
 struct Arguments {
   std::string scene;
-  std::string listen = "127.0.0.1:0";
+  std::string listen;  // empty: the grains are alone
   std::string results, log, record, packing;
   int threads = 1;
   std::vector<std::string> overrides;
@@ -70,9 +73,10 @@ int run(const Arguments& arguments) {
   const dem::Settings settings = dem::make_settings(scene);
   if (!arguments.packing.empty()) dem::open_packing(arguments.packing, settings.packing_keys);
   if (!arguments.results.empty()) prepare_folder(arguments.results);
-  const auto [host, port] = split_address(arguments.listen);
+  dem::check_company(settings, !arguments.listen.empty(), scene);
   std::unique_ptr<protocol::Channel> channel;
-  {
+  if (!arguments.listen.empty()) {
+    const auto [host, port] = split_address(arguments.listen);
     protocol::TcpListener listener(host, port);
     std::printf("listening on %s:%u\n", listener.address().c_str(), static_cast<unsigned>(listener.port()));
     std::fflush(stdout);
@@ -85,7 +89,7 @@ int run(const Arguments& arguments) {
   options.prints_progress = arguments.progress;
   options.packing = arguments.packing;
   options.threads = arguments.threads;
-  // The peer waits while the packing is made, so its cores are free.
+  // The peer waits while the packing is made, or there is none: its cores are free.
   options.balance_threads = std::max(arguments.threads, std::clamp(cores(), 1, most_balance_threads));
   const dem::RunReport report = dem::run_grains(scene, std::move(channel), options);
   return static_cast<int>(report.is_interrupted || interrupt_requested() ? ExitCode::Interrupted : ExitCode::Success);
@@ -96,11 +100,13 @@ int run(const Arguments& arguments) {
 int main(int argc, char** argv) {
   using namespace lockstep;
   Arguments arguments;
-  CLI::App app("Lockstep's discrete elements: listens for a continuum client and runs a scene with it.");
+  CLI::App app(
+      "Lockstep's discrete elements: listens for a continuum client and runs a scene with it, or runs grains alone.");
   app.footer(examples);
   app.add_option("scene", arguments.scene, "scene file, or a folder with scene.txt");
-  app.add_option("--listen", arguments.listen, "HOST:PORT; port 0 takes a free one and prints it")
-      ->capture_default_str();
+  app.add_option(
+      "--listen", arguments.listen,
+      "HOST:PORT for the continuum client; port 0 takes a free one and prints it; not for scenes without continuum");
   app.add_option("--results", arguments.results,
                  "folder for histories, ParaView files and summary; none: nothing is written");
   app.add_option("--set", arguments.overrides, "KEY=VALUE, overrides a key of the scene; give the peer the same")

@@ -117,10 +117,9 @@ ContactSurvey survey(const Model& m) {
 
 Room room_of(const Model& m, const Settings& settings) {
   return [&m, &settings](const Vec3& x) {
-    if (settings.packing && settings.packing->container.depth_inside(x) < 0) return false;
-    for (const PlaneSettings& plane : settings.planes)
-      if ((x - plane.point).dot(plane.normal) < 0) return false;
-    return !m.pile || m.pile->closest(x).distance > 0;
+    // Alone, the walls are the container, and may have moved since the packing was made in it.
+    if (settings.packing && !settings.is_alone && settings.packing->container.depth_inside(x) < 0) return false;
+    return !m.walls.is_behind(x) && (!m.pile || m.pile->closest(x).distance > 0);
   };
 }
 

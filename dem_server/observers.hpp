@@ -27,8 +27,8 @@ struct ContactSurvey {
 };
 ContactSurvey survey(const Model& model);
 
-// Where grains could be: inside the packing's container and the planes, outside the pile as it stands now. `model`
-// must outlive what is returned.
+// Where grains could be: inside the packing's container, in front of all walls and outside the pile as they stand now.
+// `model` must outlive what is returned.
 Room room_of(const Model& model, const Settings& settings);
 
 // A grain whose way is followed. The turn since the start is the product of all turns spin times step; that of a clump

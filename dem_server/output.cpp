@@ -173,7 +173,7 @@ void write_contacts(const std::filesystem::path& path, const Model& m) {
   };
   m.contacts.for_each_contact(m.particles, add(0, m.material.friction));
   m.facets.for_each_contact(add(1, m.facet_material.friction));
-  m.walls.for_each_contact(add(2, m.walls.friction()));
+  for (const WallContact& c : m.walls.contacts()) add(2, m.walls.friction(static_cast<std::size_t>(c.part)))(c.view());
   if (m.pile) m.pile->for_each_contact(add(3, m.pile->friction()));
   write_vtp_lines(path, begin, end, {normal_force, shear_force, mobilised, family});
 }

@@ -2,21 +2,27 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "common/checks.hpp"
 #include "dem_server/generation.hpp"
 
 namespace lockstep::dem {
 
-double Container::volume() const {
-  const double area = kind == Kind::Cylinder ? pi * radius * radius : 4 * half_x * half_y;
-  return area * (top - bottom);
+double Container::cross_section() const { return kind == Kind::Cylinder ? pi * radius * radius : 4 * half_x * half_y; }
+
+double Container::surface() const {
+  const double around = kind == Kind::Cylinder ? 2 * pi * radius : 4 * (half_x + half_y);
+  return around * (top - bottom) + 2 * cross_section();
 }
+
+double Container::volume() const { return cross_section() * (top - bottom); }
 
 double Container::depth_inside(const Vec3& p) const {
   const double side = kind == Kind::Cylinder ? radius - std::hypot(p.x(), p.y())
                                              : std::min(half_x - std::abs(p.x()), half_y - std::abs(p.y()));
-  return std::min(side, p.z() - bottom);
+  const double nearest = std::min(side, p.z() - bottom);
+  return has_lid ? std::min(nearest, top - p.z()) : nearest;
 }
 
 std::vector<WallSettings> Settings::all_walls() const {
@@ -31,7 +37,69 @@ Vec3 to_vector(const scene::Point& p) { return {p.x(), p.y(), p.z()}; }
 
 constexpr double degrees = pi / 180;
 
-Container container_of(const SceneFile& file) {
+constexpr double aligned = 1 - 1e-12;  // least cosine between directions that count as one
+constexpr double centred = 1e-9;       // of the container's width: how far its middle may be off x = y = 0
+
+// What the walls of a scene without continuum enclose. Slanted planes, cones and meshes bound nothing here: what they
+// cut of the packing is pushed out of them when it is relaxed.
+Container enclosed_by(const std::vector<WallSettings>& walls, const SceneFile& file) {
+  constexpr double infinite = std::numeric_limits<double>::infinity();
+  Vec3 low = Vec3::Constant(-infinite), high = Vec3::Constant(infinite);
+  double radius = infinite;
+  const auto take_cylinder = [&](const Vec3& point, const Vec3& axis, double r, Side side) {
+    if (side == Side::Outside || std::abs(axis.z()) < aligned || std::hypot(point.x(), point.y()) > centred * r) return;
+    radius = std::min(radius, r);
+  };
+  for (const WallSettings& wall : walls) {
+    if (const auto* plane = std::get_if<PlaneShape>(&wall.shape)) {
+      for (int axis = 0; axis < 3; ++axis) {
+        if (plane->normal[axis] > aligned) low[axis] = std::max(low[axis], plane->point[axis]);
+        if (plane->normal[axis] < -aligned) high[axis] = std::min(high[axis], plane->point[axis]);
+      }
+    } else if (const auto* cylinder = std::get_if<CylinderShape>(&wall.shape)) {
+      take_cylinder(cylinder->point, cylinder->axis, cylinder->radius, cylinder->side);
+    } else if (const auto* tube = std::get_if<FrustumShape>(&wall.shape); tube && tube->is_cylinder()) {
+      take_cylinder(tube->point, tube->axis, tube->begin_radius, tube->side);
+    }
+  }
+  const bool has_sides = std::isfinite(radius) || (low.head<2>().allFinite() && high.head<2>().allFinite());
+  if (!has_sides || !std::isfinite(low.z()))
+    throw InputError(fmt::format(
+        "{}: the walls enclose nothing that a packing could fill: {}; give an upright cylinder {{ axis {{ z: 1 }} }} "
+        "around x = y = 0 with the grains INSIDE or four planes across x and y, and below them a plane {{ normal {{ z: "
+        "1 "
+        "}} }}, or grains.packing.box",
+        file.where("grains.packing"), has_sides ? "they have no bottom" : "they have no sides"));
+  Container c;
+  if (std::isfinite(radius)) {
+    c.kind = Container::Kind::Cylinder;
+    c.radius = radius;
+  } else {
+    c.kind = Container::Kind::Box;
+    c.half_x = 0.5 * (high.x() - low.x());
+    c.half_y = 0.5 * (high.y() - low.y());
+    for (int axis = 0; axis < 2; ++axis)
+      if (std::abs(low[axis] + high[axis]) > centred * (high[axis] - low[axis]))
+        throw InputError(
+            fmt::format("{0}: the walls across {1} stand at {1} = {2} and {3} m; the packing's box is centred: "
+                        "move both to the same distance from {1} = 0",
+                        file.where("grains.packing"), "xy"[axis], low[axis], high[axis]));
+  }
+  const double fill_height = file.scene.grains().packing().fill_height();
+  c.bottom = low.z();
+  c.top = fill_height > 0 ? c.bottom + fill_height : std::isfinite(high.z()) ? high.z() : 0.0;
+  c.has_lid = c.top == high.z();
+  if (!(c.top > c.bottom) || c.top > high.z() || !(c.half_x >= 0 && c.half_y >= 0))
+    throw InputError(
+        fmt::format("{} = {} m leaves nothing to fill: the bottom is at z = {} m, the fill level at {} m, the lid at "
+                    "{} m; give a height "
+                    "between",
+                    file.where("grains.packing.fill_height"), fill_height, c.bottom, c.top, high.z()));
+  return c;
+}
+
+// `walls` are the scene's, planes included.
+Container container_of(const SceneFile& file, const std::vector<WallSettings>& walls) {
   const scene::Scene& scene = file.scene;
   const scene::Packing& packing = scene.grains().packing();
   Container c;
@@ -56,15 +124,32 @@ Container container_of(const SceneFile& file) {
     c.bottom = packing.box().bottom();
     c.top = c.bottom + packing.box().fill_height();
   } else {
-    throw InputError(fmt::format(
-        "{}: grains.packing has no container; give continuum.cylinder_in_brick, continuum.mesh_file.hole, or "
-        "grains.packing.box with its widths, bottom and fill_height",
-        file.where("grains.packing")));
+    c = enclosed_by(walls, file);
   }
   return c;
 }
 
-PackingSettings packing_of(const SceneFile& file) {
+// A pile among grains alone: z = 0 is their surface, and the pile's whole way stays inside.
+void check_pile_alone(const SceneFile& file, const PileSettings& pile, const Container& c) {
+  const double width = 2 * (c.kind == Container::Kind::Cylinder ? c.radius : std::min(c.half_x, c.half_y));
+  const double final_depth = pile.embedment + pile.penetration;
+  if (std::abs(c.top) > centred * (c.top - c.bottom))
+    throw InputError(
+        fmt::format("{} = {} m is counted from z = 0, but the packing is filled to z = {:.6g} m; move its walls by "
+                    "{:.6g} m, or change the "
+                    "fill height",
+                    file.where("pile.embedment"), pile.embedment, c.top, -c.top));
+  if (2 * pile.shape.radius >= width)
+    throw InputError(fmt::format("{} = {} m leaves no room in a container of {} m; give a thinner pile or wider walls",
+                                 file.where("pile.diameter"), 2 * pile.shape.radius, width));
+  if (final_depth >= -c.bottom)
+    throw InputError(fmt::format(
+        "{} = {} m and pile.penetration bring the tip to {} m, which is not above the bottom at {} m; give less "
+        "penetration or a deeper bottom",
+        file.where("pile.embedment"), pile.embedment, -final_depth, c.bottom));
+}
+
+PackingSettings packing_of(const SceneFile& file, const std::vector<WallSettings>& walls) {
   const scene::Packing& from = file.scene.grains().packing();
   PackingSettings to;
   const double scale = file.scene.fidelity().particle_scale();
@@ -75,7 +160,7 @@ PackingSettings packing_of(const SceneFile& file) {
   to.match_continuum_density = from.bulk_density() == scene::Packing::MATCH_CONTINUUM;
   to.cube_grains = from.cube_grains();
   to.cube_pressure = from.cube_pressure();
-  to.container = container_of(file);
+  to.container = container_of(file, walls);
   return to;
 }
 
@@ -285,6 +370,7 @@ Settings make_settings(const SceneFile& file) {
   const scene::Grains& grains = scene.grains();
   Settings s;
   s.title = scene.title();
+  s.is_alone = !scene.has_continuum();
   s.gravity = scene.gravity();
   s.seed = scene.seed();
 
@@ -300,8 +386,17 @@ Settings make_settings(const SceneFile& file) {
   const auto pebbles = scene.fidelity().pebbles_per_clump();
   s.pebbles = static_cast<int>(pebbles ? pebbles : grains.pebbles());
 
+  for (int i = 0; i < scene.wall_size(); ++i) s.walls.push_back(wall_of(file, i));
+  for (const scene::Plane& p : scene.plane()) {
+    const Vec3 normal = to_vector(p.normal());
+    if (normal.norm() == 0)
+      throw InputError(fmt::format("{}: plane.normal = 0 0 0 has no direction; give the side where the grains are",
+                                   file.where("plane.normal")));
+    s.planes.push_back({to_vector(p.point()), normal.normalized(), Vec3::Zero()});
+  }
+
   if (grains.has_packing()) {
-    s.packing = packing_of(file);
+    s.packing = packing_of(file, s.all_walls());
     const PorosityRange range = reachable_porosity(s.pebbles, s.elongation);
     if (s.packing->porosity < range.low || s.packing->porosity > range.high)
       throw InputError(fmt::format(
@@ -315,16 +410,14 @@ Settings make_settings(const SceneFile& file) {
   for (const scene::Grain& g : grains.grain())
     s.grains.push_back({to_vector(g.center()), to_vector(g.velocity()), to_vector(g.spin()), g.radius(), g.is_clump()});
   if (scene.has_pile()) s.pile = pile_of(file);
-  for (int i = 0; i < scene.wall_size(); ++i) s.walls.push_back(wall_of(file, i));
-  for (const scene::Plane& p : scene.plane()) {
-    const Vec3 normal = to_vector(p.normal());
-    if (normal.norm() == 0)
-      throw InputError(fmt::format("{}: plane.normal = 0 0 0 has no direction; give the side where the grains are",
-                                   file.where("plane.normal")));
-    s.planes.push_back({to_vector(p.point()), normal.normalized(), Vec3::Zero()});
-  }
-  if (s.packing && s.packing->container.kind == Container::Kind::Box) {
+  if (s.pile && s.packing && s.is_alone) check_pile_alone(file, *s.pile, s.packing->container);
+  if (grains.packing().has_box()) {
     const Container& box = s.packing->container;
+    const auto is_bottom = [&](const PlaneSettings& p) {
+      return p.normal.z() > aligned && p.point.z() >= box.bottom - centred * (box.top - box.bottom);
+    };
+    if (s.is_alone && std::none_of(s.planes.begin(), s.planes.end(), is_bottom))
+      s.planes.push_back({{0, 0, box.bottom}, Vec3::UnitZ(), Vec3::Zero()});
     s.planes.push_back({{-box.half_x, 0, 0}, Vec3::UnitX(), Vec3::Zero()});
     s.planes.push_back({{box.half_x, 0, 0}, -Vec3::UnitX(), Vec3::Zero()});
     s.planes.push_back({{0, -box.half_y, 0}, Vec3::UnitY(), Vec3::Zero()});
@@ -332,7 +425,8 @@ Settings make_settings(const SceneFile& file) {
   }
 
   const scene::Balance& balance = scene.balance();
-  s.balance = {balance.servo() == scene::Balance::RINGS,
+  const bool has_target = !s.is_alone || s.pile;  // grains alone have no rings, and a tip only with a pile
+  s.balance = {balance.servo() == scene::Balance::RINGS && has_target,
                balance.damping(),
                balance.tolerance(),
                balance.servo_tolerance(),
@@ -342,6 +436,7 @@ Settings make_settings(const SceneFile& file) {
   s.has_apply = scene.apply().max_steps() > 0;
   s.apply_damping = scene.apply().damping();
   s.run_damping = scene.run().damping();
+  s.run_duration = scene.run().duration();
   s.step_damping = std::max(s.run_damping, s.has_apply ? s.apply_damping : 0.0);
 
   s.step_fraction = scene.fidelity().step_fraction();

@@ -18,17 +18,21 @@
 
 namespace lockstep::dem {
 
-// Where the packing stands: a vertical cylinder around x = y = 0, or a box with four smooth walls. Open at the top; the
-// bottom is the interface.
+// Where the packing stands: a vertical cylinder around x = y = 0, or a box. Open at the top unless it has a lid; the
+// bottom is the interface, or in a scene of grains alone a plane. It is what the packing is made in: walls with servos
+// move on.
 struct Container {
   enum class Kind { Cylinder, Box } kind = Kind::Cylinder;
-  double radius = 0;      // cylinder [m]
-  double half_x = 0;      // box [m]
-  double half_y = 0;      // box [m]
-  double bottom = 0;      // [m]
-  double top = 0;         // fill level [m]
-  double volume() const;  // [m3]
-  // Distance of a point inside to the nearest side or bottom; negative outside. The top does not count. [m]
+  double radius = 0;             // cylinder [m]
+  double half_x = 0;             // box [m]
+  double half_y = 0;             // box [m]
+  double bottom = 0;             // [m]
+  double top = 0;                // fill level [m]
+  bool has_lid = false;          // a plane at the fill level
+  double cross_section() const;  // [m2]
+  double surface() const;        // sides, bottom and top [m2]
+  double volume() const;         // [m3]
+  // Distance of a point inside to the nearest side, bottom or lid; negative outside. A top without lid does not count. [m]
   double depth_inside(const Vec3& point) const;
 };
 
@@ -117,7 +121,8 @@ using SceneKeys = std::vector<std::pair<std::string, std::string>>;
 
 struct Settings {
   std::string title;
-  double gravity = 0;  // downwards [m/s2]
+  bool is_alone = false;  // no continuum: a single process
+  double gravity = 0;     // downwards [m/s2]
   std::uint64_t seed = 1;
 
   GrainMaterial material;
@@ -141,6 +146,7 @@ struct Settings {
   double apply_damping = 0;
   bool has_apply = true;
   double run_damping = 0;
+  double run_duration = 0;  // of grains alone without a pile [s]
   double step_damping = 0;  // the largest that the coupled run will see: the time step is held for it
 
   double step_fraction = 0.9;           // of the stable step

@@ -55,15 +55,13 @@ class GrainsRun {
         packing_path_(options.packing),
         threads_(options.threads),
         balance_threads_(options.balance_threads),
-        session_([&] {
-          protocol::SessionSettings s;
-          s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings_.peer_timeout));
-          s.record_path = options.record_path;
-          return Session(std::move(channel), protocol::Role::Grains, s);
-        }()) {}
+        session_(make_session(settings_, std::move(channel), options.record_path)) {
+    check_company(settings_, session_ != nullptr, scene);
+  }
 
   RunReport run() {
     try {
+      if (settings_.is_alone) return run_alone();
       shake_hands();
       receive_initial_stress();
       balance();
@@ -71,19 +69,32 @@ class GrainsRun {
       exchange();
       return finish();
     } catch (const Error& error) {
-      session_.abort(static_cast<int>(error.code()), error.what());
+      if (session_) session_->abort(static_cast<int>(error.code()), error.what());
+      report_.is_interrupted = error.code() == ExitCode::Interrupted;
       end_ = error.what();
       keep_last_state(error.code() == ExitCode::Numerical);
       throw;
     } catch (const std::exception& error) {
-      session_.abort(static_cast<int>(ExitCode::Internal), error.what());
+      if (session_) session_->abort(static_cast<int>(ExitCode::Internal), error.what());
       throw;
     }
   }
 
  private:
   class Peer;
+  class NoPeer;
 
+  static std::unique_ptr<Session> make_session(const Settings& settings, std::unique_ptr<protocol::Channel> channel,
+                                               const std::string& record_path) {
+    if (!channel) return nullptr;
+    protocol::SessionSettings s;
+    s.peer_timeout = std::chrono::milliseconds(std::llround(1000 * settings.peer_timeout));
+    s.record_path = record_path;
+    return std::make_unique<Session>(std::move(channel), protocol::Role::Grains, s);
+  }
+
+  RunReport run_alone();
+  void beat(std::string_view text, double fraction);
   void shake_hands();
   void receive_initial_stress();
   void balance();
@@ -102,6 +113,8 @@ class GrainsRun {
 
   void begin_apply();
   void begin_penetration();
+  void push_pile();
+  void record_step();
   bool is_over() const;
   double penetration() const {
     return stage_ >= protocol::Stage::Apply && settings_.pile ? pile_start_ - model_->pile->tip_z() : 0.0;
@@ -109,10 +122,14 @@ class GrainsRun {
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
   std::string culprit(const StepLimit& limit) const;
+  double weight_above(double z) const;
+  double tip_target() const;
   void set_friction(double grain, double walls_and_pile_factor);
   BottomBalance bottom_balance(const Servo& servo) const;
   double renew_step();
   void watch();
+  void watch_reversal();
+  void choose_detail(bool is_booked);
   void keep_good_state(std::uint64_t exchanges);
   void return_to_good_state();
   void show_progress(double unbalanced);
@@ -127,7 +144,7 @@ class GrainsRun {
   bool prints_progress_;
   std::filesystem::path packing_path_;
   int threads_, balance_threads_;
-  Session session_;
+  std::unique_ptr<Session> session_;  // none when the grains are alone
 
   protocol::InitialStress initial_;
   Assembly assembly_;
@@ -150,6 +167,8 @@ class GrainsRun {
     PackingState state;
   };
   std::vector<GoodState> good_states_;
+  double ratio_ = 1;  // unbalanced, latest known
+  Reversal reversal_;
   Clock::time_point last_progress_{};
   Clock::time_point begin_ = Clock::now();
   Clock::time_point stage_begin_ = Clock::now();
@@ -168,18 +187,18 @@ void GrainsRun::shake_hands() {
   mine.solver_version = lockstep_version();
   mine.capabilities = {"progress"};
   mine.scene_digest = scene_.digest;
-  const protocol::Hello peer = session_.shake_hands(mine);
-  spdlog::info("stage Hello: peer {} {} at {}, scene {}", peer.solver, peer.solver_version, session_.peer(),
+  const protocol::Hello peer = session_->shake_hands(mine);
+  spdlog::info("stage Hello: peer {} {} at {}, scene {}", peer.solver, peer.solver_version, session_->peer(),
                peer.scene_digest.empty() ? "of its own" : peer.scene_digest);
 }
 
 void GrainsRun::receive_initial_stress() {
   stage_ = protocol::Stage::InitialStress;
   const auto begin = Clock::now();
-  session_.on_progress = [](const protocol::Progress& p) {
+  session_->on_progress = [](const protocol::Progress& p) {
     spdlog::debug("peer: {} ({:.0f} %)", p.text, 100 * p.fraction);
   };
-  initial_ = session_.receive<protocol::InitialStress>();
+  initial_ = session_->receive<protocol::InitialStress>();
   spdlog::info("stage InitialStress (paper step 1): {} nodes, {} facets, unbalanced ratio {:.1e}, after {:.1f} s",
                initial_.nodes.size(), initial_.facets.size(), initial_.unbalanced_ratio, seconds_since(begin));
   if (settings_.pile && initial_.profile.empty())
@@ -237,7 +256,7 @@ void GrainsRun::balance() {
   m.team = std::make_unique<Team>(threads_);
   evaluate_forces(m);
   if (!is_given) packing->figures.porosity = bulk_porosity(settings_, assembly_, m.particles);
-  tell_balance(packing->figures, ground.tip_target, begin);
+  tell_balance(packing->figures, tip_target(), begin);
   if (is_given) {
     spdlog::info("the balanced packing was taken from {}", packing_path_.string());
   } else if (!packing_path_.empty()) {
@@ -250,8 +269,8 @@ void GrainsRun::balance() {
 }
 
 HandedOver GrainsRun::handed_over() const {
-  const double tip_target = settings_.pile ? target_vertical_pressure(-settings_.pile->embedment) : 0.0;
-  return {initial_.nodes, initial_.facets, initial_.ring, initial_.traction, initial_.bulk_density, tip_target};
+  return {initial_.nodes,    initial_.facets,       initial_.ring,
+          initial_.traction, initial_.bulk_density, settings_.is_alone ? 0.0 : tip_target()};
 }
 
 // The grains of `assembly_`, and what is around them.
@@ -281,25 +300,30 @@ void GrainsRun::make_model() {
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     reach_ = std::max(reach_, std::as_const(m.particles).position(b).norm());
   for (const Vec3& x : initial_.nodes) reach_ = std::max(reach_, x.norm());
+  if (!settings_.is_alone) return;
+  // No ground says how wide the scene is: what flies and falls freely as long as the run lasts is still in it.
+  double speed = 0;
+  for (std::size_t b = 0; b < m.particles.body_count(); ++b)
+    speed = std::max(speed, std::as_const(m.particles).velocity(b).norm());
+  reach_ += settings_.run_duration * (speed + 0.5 * settings_.gravity * settings_.run_duration);
 }
 
 BalanceFigures GrainsRun::make_packing(const HandedOver& ground) {
   assembly_ = assemble(
       settings_, initial_.bulk_density,
       [this](std::string_view text, double fraction) {
-        session_.heartbeat(text, 0.2 * fraction);
+        beat(text, 0.2 * fraction);
         show_packing(0.2 * fraction);
       },
       balance_threads_);
   make_model();
   ServoSettings servo_settings;
   servo_settings.max_travel = settings_.balance.max_servo_travel * assembly_.mean_radius;
-  Servo servo(*model_, ground.ring, ground.traction, ground.tip_target, servo_settings);
-  if (settings_.balance.max_cycles > 0) {
-    relax();
-    if (settings_.packing) grow();
-    settle(servo);
-  }
+  const bool is_cycled = settings_.balance.max_cycles > 0;
+  if (is_cycled) relax();
+  if (is_cycled && settings_.packing) grow();
+  Servo servo(*model_, ground.ring, ground.traction, tip_target(), servo_settings);
+  if (is_cycled) settle(servo);
   return figures_of(servo);
 }
 
@@ -338,7 +362,7 @@ void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, C
   reached.unbalanced_ratio = figures.unbalanced_ratio;
   reached.particles = m.particles.body_count();
   reached.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
-  session_.send(reached);
+  if (session_) session_->send(reached);
 
   Json entry;
   entry.add("unbalanced_ratio", reached.unbalanced_ratio)
@@ -356,7 +380,7 @@ void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, C
       table += fmt::format("\n    ring at z {:6.2f} m: {:8.2f} kPa, handed over {:8.2f} kPa, moved {:+.3f} mm",
                            ring.center_z, ring.pressure / 1000, ring.target / 1000, 1000 * ring.travel);
     }
-    spdlog::info("ring pressures:{}", table);
+    if (!table.empty()) spdlog::info("ring pressures:{}", table);
     const double bottom_error = figures.bottom_force - (figures.weight + figures.tip_force);
     if (m.pile)
       spdlog::info(
@@ -383,6 +407,10 @@ void GrainsRun::tell_balance(const BalanceFigures& figures, double tip_target, C
 BottomBalance GrainsRun::bottom_balance(const Servo& servo) const {
   BottomBalance b;
   b.weight = model_->particles.total_mass() * settings_.gravity;
+  if (settings_.is_alone) {
+    b.force = -model_->wall_totals.force.z();  // smooth sides: what walls carry is the bottom's, less a lid's push
+    b.area = settings_.packing ? settings_.packing->container.cross_section() : 0.0;
+  }
   for (const Ring& ring : servo.rings())
     if (!ring.is_side()) b.force += ring.pressure * ring.area, b.area += ring.area;
   if (model_->pile) b.tip = servo.tip_pressure() * model_->pile->tip_area();
@@ -417,7 +445,7 @@ void GrainsRun::relax() {
     }
     largest = std::max({m.pair_totals.largest_overlap_ratio, m.facet_totals.max_overlap,
                         m.pile_totals.all().max_overlap, m.wall_totals.max_overlap});
-    if (n % heartbeat_interval == 0) session_.heartbeat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
+    if (n % heartbeat_interval == 0) beat("relaxing the cut packing", 0.2 + 0.1 * n / relax_cycles);
   }
   m.gravity = {0, 0, -settings_.gravity};
   spdlog::info("relaxed: largest overlap {:.3f} R after {} cycles, {:.1f} s", largest, m.step, seconds_since(begin));
@@ -438,13 +466,13 @@ void GrainsRun::grow() {
   m.walls = Walls(with_lid, settings_.wall_friction);
   m.walls.set_moving(false, false);
   m.walls.set_friction_share(0);
-  double area = 0;
+  double area = settings_.is_alone ? settings_.packing->container.surface() : 0.0;
   for (std::size_t f = 0; f < m.facets.facet_count(); ++f) area += m.facets.area_vector(f).norm();
   double growth = 1, pressure = 0, reached = 0;
   bool is_growing = true;
   const std::uint64_t begin = m.step;
   const auto begin_time = Clock::now();
-  m.detail = Detail::Forces;  // only the facets' sums are looked at
+  m.detail = Detail::Forces;  // only the sums of facets and walls are looked at
   for (int n = 0; n < grow_cycles && (is_growing || pressure > released_pressure); ++n) {
     if (n % limit_interval == 0) held.time_step = renew_step();
     if (n % grow_interval == 0) {
@@ -453,11 +481,12 @@ void GrainsRun::grow() {
       m.particles.scale_all(1 + change);
     }
     cycle(m, held);
-    pressure += (m.facet_totals.normal_force / area - pressure) / grow_averaging;
+    const double pressing = settings_.is_alone ? m.wall_totals.normal_force : m.facet_totals.normal_force;
+    pressure += (pressing / area - pressure) / grow_averaging;
     reached = std::max(reached, pressure);
     is_growing = is_growing && pressure < grown_pressure;
     if (n % heartbeat_interval == 0)
-      session_.heartbeat("growing the packing into its gaps", 0.3 + 0.1 * std::min(1.0, pressure / grown_pressure));
+      beat("growing the packing into its gaps", 0.3 + 0.1 * std::min(1.0, pressure / grown_pressure));
   }
   refit(assembly_, settings_, initial_.bulk_density, m.particles);
   m.walls = Walls(settings_.all_walls(), settings_.wall_friction);
@@ -500,7 +529,7 @@ void GrainsRun::settle(Servo& servo) {
     is_balanced = n > settle_cycles && ratio < b.tolerance && has_servo_done &&
                   m.walls.worst_servo_error() < b.traction_tolerance;
     const double fraction = std::clamp(std::log10(std::max(ratio, b.tolerance)) / std::log10(b.tolerance), 0.0, 1.0);
-    session_.heartbeat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
+    beat(fmt::format("balancing, unbalanced ratio {:.1e}", ratio), 0.3 + 0.7 * fraction);
     stage_fraction_ = 0.3 + 0.7 * fraction;
     show_progress(ratio);
     watch();
@@ -546,7 +575,7 @@ void GrainsRun::excavate() {
   stage_ = protocol::Stage::Excavate;
   const auto begin = Clock::now();
   Model& m = *model_;
-  const auto theirs = session_.receive<protocol::ContinuumExcavated>();
+  const auto theirs = session_->receive<protocol::ContinuumExcavated>();
   if (theirs.position_hash != 0 && theirs.position_hash != m.facets.position_hash())
     throw PeerError(fmt::format(
         "ContinuumExcavated.position_hash is {:016x}, but the nodes sent with InitialStress hash to {:016x}: "
@@ -567,7 +596,7 @@ void GrainsRun::excavate() {
   told_limit_.set_grains(reply.stable_step, reply.limited_by);
   reply.nodal_force = m.facets.nodal_force();
   reply.position_hash = m.facets.position_hash();
-  session_.send(reply);
+  session_->send(reply);
   spdlog::info(
       "stage Excavate (paper step 3): peer deleted {} zones, residual {:.1e}; stable steps {:.3e} s (grains, body {}) "
       "and "
@@ -589,7 +618,7 @@ class GrainsRun::Peer : public Boundary {
     if (part_ == exchange_parts_) {
       {
         const auto timing = m.profile.measure(Phase::WaitForPeer);
-        if (!run_.session_.receive_or_finish(velocities_)) return false;
+        if (!run_.session_->receive_or_finish(velocities_)) return false;
       }
       exchange_parts_ = last_step_ > 0 ? parts_ : 1;
       part_ = 0;
@@ -600,15 +629,8 @@ class GrainsRun::Peer : public Boundary {
     if (is_last_part()) check_peer(m);
     if (velocities_.stage == protocol::Stage::Penetrate && run_.stage_ == protocol::Stage::Apply)
       run_.begin_penetration();
-    if (run_.stage_ == protocol::Stage::Penetrate && m.pile) {
-      const PileSettings& pile = *run_.settings_.pile;
-      const double ramp = std::min(1.0, (m.time - run_.penetration_begin_) / pile.speed_ramp);
-      m.pile->set_velocity(-pile.velocity * ramp);
-    }
-    const bool is_booked = is_last_part() && (velocities_.step + 1) % ledger_interval == 0;
-    const Detail between = run_.settings_.keeps_ledger ? Detail::Works : Detail::Forces;
-    m.detail = is_booked || is_measured(m.step + 1) || !has_stepped_ ? Detail::All : between;
-    has_stepped_ = true;
+    run_.push_pile();
+    run_.choose_detail(is_last_part() && (velocities_.step + 1) % ledger_interval == 0);
     return true;
   }
 
@@ -617,7 +639,7 @@ class GrainsRun::Peer : public Boundary {
     if (!is_last_part()) return;
     if (exchange_parts_ > 1) take_mean();
     forces_.step = velocities_.step;
-    forces_.unbalanced_ratio = ratio_;
+    forces_.unbalanced_ratio = run_.ratio_;
     forces_.stable_step = parts_ * limit_.step;
     forces_.limited_by.clear();
     if (forces_.stable_step != run_.told_limit_.grains_limit()) {
@@ -627,19 +649,18 @@ class GrainsRun::Peer : public Boundary {
     forces_.is_done = run_.is_over();
     forces_.energies = energies_;
     tell_stiffness(m);
-    run_.session_.send(forces_);
+    run_.session_->send(forces_);
   }
 
   // After the cycle, while the message is on its way.
   void take_stock(Model& m) {
-    if (m.detail == Detail::All) ratio_ = unbalanced_ratio(m);
-    if (m.damping > 0) watch_reversal(m);
     if (m.step % limit_interval == 0) {
       const StepLimit now = stable_step(m, run_.settings_.step_damping);
       if (now.step < limit_.step) limit_ = now;
     }
     if (!is_last_part()) return;
     if (coupled_) book_exchange(m);
+    if (coupled_ && m.step % run_.settings_.history_interval == 0) run_.output_.record_interface(*coupled_);
     last_step_ = velocities_.time_step;
     energies_.reset();
     if (m.detail == Detail::All && run_.settings_.keeps_ledger) {
@@ -651,17 +672,9 @@ class GrainsRun::Peer : public Boundary {
   }
 
   void start() { limit_ = run_.limit_; }
-  double ratio() const { return ratio_; }
 
  private:
   bool is_last_part() const { return part_ == exchange_parts_; }
-
-  // Whether anything but the coupled ledger looks at the sums of the step that ends with `step`.
-  bool is_measured(std::uint64_t step) const {
-    const Settings& s = run_.settings_;
-    return step % heartbeat_interval == 0 || step % s.history_interval == 0 ||
-           (s.measure.interval > 0 && step % s.measure.interval == 0);
-  }
 
   void check_peer(const Model& m) const {
     if (velocities_.position_hash != 0 && velocities_.position_hash != m.facets.position_hash())
@@ -717,18 +730,6 @@ class GrainsRun::Peer : public Boundary {
     if (const std::string words = coupled_->alarm(); !words.empty()) throw NumericalError(words);
   }
 
-  void watch_reversal(const Model& m) {
-    reversal_.observe(m.step, m.particles);
-    if (reversal_.is_alarming() && ratio_ > Reversal::least_unbalanced_ratio)
-      throw NumericalError(
-          fmt::format("step {}: the grains' accelerations turn from each step to the next (share {:.2f} over {} looks, "
-                      "where motion that "
-                      "the steps follow has -0.6 and below; unbalanced ratio {:.1e}): the packing shivers instead of "
-                      "resting; lower "
-                      "fidelity.step_fraction (now {})",
-                      m.step, reversal_.mean_share(), Reversal::reversal_looks, ratio_, run_.settings_.step_fraction));
-  }
-
   // Node stiffness travels when one has grown by a tenth beyond what the peer knows.
   void tell_stiffness(const Model& m) {
     const std::vector<double>& now = m.facets.node_stiffness();
@@ -748,13 +749,10 @@ class GrainsRun::Peer : public Boundary {
   std::uint32_t exchange_parts_ = 0;  // of this one
   std::uint32_t part_ = 0;            // of this exchange, from 1
   double last_step_ = 0;              // time_step of the exchange before [s]
-  bool has_stepped_ = false;
   protocol::Velocities velocities_;
   protocol::Forces forces_;
   std::optional<Energies> energies_;  // at the end of the last exchange
-  double ratio_ = 1;
-  Reversal reversal_;
-  StepLimit limit_;  // as of the last renewal
+  StepLimit limit_;                   // as of the last renewal
 };
 
 void GrainsRun::begin_apply() {
@@ -769,7 +767,7 @@ void GrainsRun::begin_apply() {
   m.last_time_step = 0;
   m.ledger.restart();
   m.ledger.is_kept = settings_.keeps_ledger;
-  if (settings_.keeps_ledger) coupled_.emplace(settings_.stop_if_energy_error);
+  if (session_ && settings_.keeps_ledger) coupled_.emplace(settings_.stop_if_energy_error);
   if (settings_.packet)
     for (std::size_t b = 0; b < m.particles.body_count(); ++b)
       if (m.is_fixed.empty() || !m.is_fixed[b])
@@ -795,6 +793,44 @@ void GrainsRun::begin_penetration() {
   next_snapshot_ = 0;
 }
 
+// The pile's speed in the step to come.
+void GrainsRun::push_pile() {
+  Model& m = *model_;
+  if (stage_ != protocol::Stage::Penetrate || !m.pile) return;
+  const PileSettings& pile = *settings_.pile;
+  const double ramp = std::min(1.0, (m.time - penetration_begin_) / pile.speed_ramp);
+  m.pile->set_velocity(-pile.velocity * ramp);
+}
+
+// What the next step sums up: what its histories, alarms and `is_booked` ask for.
+void GrainsRun::choose_detail(bool is_booked) {
+  Model& m = *model_;
+  const std::uint64_t step = m.step + 1;
+  const auto is_due = [&](std::uint32_t interval) { return interval > 0 && step % interval == 0; };
+  const bool is_measured = is_booked || step == 1 || is_due(heartbeat_interval) || is_due(settings_.history_interval) ||
+                           (settings_.measure.is_any() && is_due(settings_.measure.interval));
+  m.detail = is_measured ? Detail::All : settings_.keeps_ledger ? Detail::Works : Detail::Forces;
+}
+
+// After each step: alarms, histories, snapshots.
+void GrainsRun::record_step() {
+  const Model& m = *model_;
+  if (m.detail == Detail::All) ratio_ = unbalanced_ratio(m);
+  if (m.damping > 0) watch_reversal();
+  output_.record(m, s_over_d(), ratio_);
+  if (m.step % heartbeat_interval == 0) {
+    watch();
+    show_progress(ratio_);
+  }
+  if (settings_.is_alone && m.step % good_state_interval == 0) keep_good_state(m.step);
+  if (stage_ != protocol::Stage::Penetrate || settings_.snapshot_interval <= 0) return;
+  const double now = settings_.pile ? s_over_d() : m.time - penetration_begin_;
+  if (now >= next_snapshot_) {
+    output_.snapshot(m, settings_);
+    next_snapshot_ += settings_.snapshot_interval;
+  }
+}
+
 void GrainsRun::exchange() {
   begin_apply();
   if (settings_.pile) pile_start_ = model_->pile->tip_z();
@@ -802,21 +838,87 @@ void GrainsRun::exchange() {
   Peer peer(*this);
   peer.start();
   while (cycle(m, peer)) {
+    record_step();
     peer.take_stock(m);
-    output_.record(m, s_over_d(), peer.ratio());
-    if (coupled_ && m.step % settings_.history_interval == 0) output_.record_interface(*coupled_);
-    if (m.step % heartbeat_interval == 0) {
-      watch();
-      show_progress(peer.ratio());
-    }
-    if (stage_ == protocol::Stage::Penetrate && settings_.snapshot_interval > 0) {
-      const double now = settings_.pile ? s_over_d() : m.time - penetration_begin_;
-      if (now >= next_snapshot_) {
-        output_.snapshot(m, settings_);
-        next_snapshot_ += settings_.snapshot_interval;
-      }
-    }
   }
+}
+
+// ---------------------------------------------------------------------------------------------- grains alone
+
+// Nobody moves facets, since there are none: the grains hold their own step.
+class GrainsRun::NoPeer : public Boundary {
+ public:
+  explicit NoPeer(GrainsRun& run) : run_(run) {}
+
+  bool move_facets(Model& m) override {
+    const Settings& settings = run_.settings_;
+    const bool is_timed_out = !settings.pile && m.time - run_.penetration_begin_ >= settings.run_duration;
+    if (run_.is_over() || is_timed_out) return false;
+    if (m.step % limit_interval == 0) renew_step(m);
+    m.time_step = time_step_;
+    run_.push_pile();
+    run_.choose_detail(false);
+    return true;
+  }
+  void take_forces(Model&) override {}
+
+ private:
+  // As in a coupled run the step is cut when contacts ask for it, and never grows.
+  void renew_step(const Model& m) {
+    const StepLimit limit = stable_step(m, run_.settings_.step_damping);
+    const double step = run_.settings_.step_fraction * limit.step;
+    if (step >= time_step_) return;
+    if (step < told_ / stiffness_growth) {
+      spdlog::info("step {}: time step {:.4e} s, {} of the limit of grain {}", m.step, step,
+                   run_.settings_.step_fraction, limit.worst_body);
+      told_ = step;
+    }
+    time_step_ = step;
+  }
+
+  GrainsRun& run_;
+  double time_step_ = std::numeric_limits<double>::infinity();  // of the next steps [s]
+  double told_ = std::numeric_limits<double>::infinity();       // as last logged [s]
+};
+
+// Balance and Penetrate in one process. What stage Apply is to a coupled run is a moment here: friction of walls and pile
+// is switched on, and time and S are counted from there.
+RunReport GrainsRun::run_alone() {
+  balance();
+  begin_apply();
+  begin_penetration();
+  NoPeer no_peer(*this);
+  while (cycle(*model_, no_peer)) record_step();
+  end_ = interrupt_requested() ? "the user interrupted the run"
+         : settings_.pile      ? "the pile is there"
+                               : "run.duration is over";
+  return finish();
+}
+
+// A sign of life to the peer while the packing is made; alone, only the user's Ctrl-C is looked for.
+void GrainsRun::beat(std::string_view text, double fraction) {
+  if (session_)
+    session_->heartbeat(text, fraction);
+  else if (interrupt_requested())
+    throw Interrupted("interrupted in stage Balance");
+}
+
+// Vertical pressure at z in grains alone at rest between smooth walls: their weight above, and lids that press [Pa].
+double GrainsRun::weight_above(double z) const {
+  if (!settings_.packing) return 0;
+  const double bulk_density = assembly_.solid_density * (1 - assembly_.overall_porosity);  // [kg/m3]
+  double pressure = bulk_density * settings_.gravity * (settings_.packing->container.top - z);
+  for (const WallSettings& wall : settings_.walls)
+    if (const auto* plane = std::get_if<PlaneShape>(&wall.shape); plane && wall.servo && plane->normal.z() < 0)
+      pressure += wall.servo->pressure;
+  return pressure;
+}
+
+// Of stage Balance: what the ground carried at the tip's depth, or alone the grains [Pa].
+double GrainsRun::tip_target() const {
+  if (!settings_.pile) return 0;
+  const double z = -settings_.pile->embedment;
+  return settings_.is_alone ? weight_above(z) : target_vertical_pressure(z);
 }
 
 bool GrainsRun::is_over() const {
@@ -826,10 +928,13 @@ bool GrainsRun::is_over() const {
 
 RunReport GrainsRun::finish() {
   Model& m = *model_;
-  end_ = session_.finish().text;
-  report_.is_interrupted = interrupt_requested() || session_.finish().is_interrupted;
-  session_.send(protocol::Message(protocol::Finish{
-      m.step, interrupt_requested() ? "the user of the grains interrupted the run" : "done", interrupt_requested()}));
+  report_.is_interrupted = interrupt_requested();
+  if (session_) {
+    end_ = session_->finish().text;
+    report_.is_interrupted |= session_->finish().is_interrupted;
+    session_->send(protocol::Message(protocol::Finish{
+        m.step, interrupt_requested() ? "the user of the grains interrupted the run" : "done", interrupt_requested()}));
+  }
   if (stage_ == protocol::Stage::Penetrate)
     spdlog::info(
         "stage Velocities, Forces, Advance (paper steps 5 to 7): {} steps, S/D {:.3f}, tip {:.3g} MPa, shaft {:.3g} "
@@ -861,11 +966,26 @@ RunReport GrainsRun::finish() {
   r.energies = m.ledger.energies();
   for (std::size_t b = 0; b < m.particles.body_count(); ++b)
     r.momentum += m.particles.mass(b) * m.particles.velocity(b);
+  r.mass = m.particles.total_mass();
+  for (std::size_t k = 0; k < settings_.walls.size(); ++k)
+    r.walls.push_back({m.walls.totals()[k].force, m.walls.has_servo(k) ? m.walls.pressure(k) : 0.0});
   r.end = end_;
   return r;
 }
 
 // ------------------------------------------------------------------------------------------------------ watching
+
+void GrainsRun::watch_reversal() {
+  const Model& m = *model_;
+  reversal_.observe(m.step, m.particles);
+  if (reversal_.is_alarming() && ratio_ > Reversal::least_unbalanced_ratio)
+    throw NumericalError(fmt::format(
+        "step {}: the grains' accelerations turn from each step to the next (share {:.2f} over {} looks, where motion "
+        "that "
+        "the steps follow has -0.6 and below; unbalanced ratio {:.1e}): the packing shivers instead of resting; lower "
+        "fidelity.step_fraction (now {})",
+        m.step, reversal_.mean_share(), Reversal::reversal_looks, ratio_, settings_.step_fraction));
+}
 
 // What a run that has gone wrong shows, looked at every few cycles: the peer hears it by Abort.
 void GrainsRun::watch() {
@@ -910,6 +1030,8 @@ void GrainsRun::show_progress(double unbalanced) {
                         s_over_d(), output_.tip_resistance() / 1000);
   else if (stage_ == protocol::Stage::Balance)
     line += fmt::format(" fraction={:.4f}", stage_fraction_);
+  else if (settings_.is_alone && settings_.run_duration > 0)
+    line += fmt::format(" fraction={:.4f}", (m.time - penetration_begin_) / settings_.run_duration);
   print_progress(line);
 }
 
@@ -979,6 +1101,17 @@ Json GrainsRun::summary() {
         .add("s_over_d", s_over_d())
         .add("tip_resistance_pa", output_.tip_resistance())
         .add("shaft_force_n", output_.shaft_force());
+  Json walls;
+  for (std::size_t k = 0; k < settings_.walls.size(); ++k) {
+    const WallTotals& totals = m.walls.totals()[k];
+    Json wall;
+    wall.add("force_n", std::vector<double>{totals.force.x(), totals.force.y(), totals.force.z()})
+        .add("contacts", static_cast<std::int64_t>(totals.contacts));
+    if (m.walls.has_servo(k))
+      wall.add("pressure_pa", m.walls.pressure(k)).add("servo_way_m", m.walls.state(k).servo_way);
+    walls.add(m.walls.name(k), wall);
+  }
+  if (!settings_.walls.empty()) j.add("walls", walls);
   const GrainEnergies& e = m.ledger.energies();
   j.add("energies_j", Json()
                           .add("kinetic", e.kinetic)
@@ -1006,13 +1139,24 @@ Json GrainsRun::summary() {
                                 .add("ledger", m.profile.seconds(Phase::Ledger))
                                 .add("measurements", output_.measuring_seconds()));
   j.add("list_builds", m.contacts.rebuilds()).add("list_refreshes", m.contacts.refreshes());
-  j.add("bytes_sent", session_.bytes_sent()).add("bytes_received", session_.bytes_received());
+  if (session_) j.add("bytes_sent", session_->bytes_sent()).add("bytes_received", session_->bytes_received());
   j.add("state_hash", fmt::format("{:016x}", m.hash()));
   j.add("position_hash", fmt::format("{:016x}", m.facets.position_hash()));
   return j;
 }
 
 }  // namespace
+
+void check_company(const Settings& settings, bool has_peer, const SceneFile& scene) {
+  if (settings.is_alone && has_peer)
+    throw InputError(fmt::format("{}: the scene has no continuum, so there is no peer to wait for; leave --listen out",
+                                 scene.path.string()));
+  if (!settings.is_alone && !has_peer)
+    throw InputError(
+        fmt::format("{}: the scene has a continuum; say with --listen HOST:PORT where the grains wait for its program "
+                    "(127.0.0.1:0 takes a free port), or start both with tools/run",
+                    scene.path.string()));
+}
 
 RunReport run_grains(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options) {
   return GrainsRun(scene, std::move(channel), options).run();

@@ -1,17 +1,21 @@
-// The grains' side of a session, stage by stage (design of the seven steps: protocol/README.md).
+// The grains' side of a session, stage by stage, and grains alone (design of the seven steps: protocol/README.md).
 #pragma once
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "common/coupled_ledger.hpp"
 #include "common/scene.hpp"
+#include "common/vectors.hpp"
 #include "dem_server/ledger.hpp"
 #include "protocol/channel.hpp"
 
 namespace lockstep::dem {
+
+struct Settings;
 
 struct RunOptions {
   std::filesystem::path results;  // folder; empty: nothing is written
@@ -20,6 +24,12 @@ struct RunOptions {
   std::filesystem::path packing;  // balanced packing: taken from this file, or written to it; empty: made and not kept
   int threads = 1;                // from Apply on
   int balance_threads = 1;        // while the peer waits: stage Balance; no bit depends on either
+};
+
+// Of a `wall` block at the end.
+struct WallReport {
+  Vec3 force = Vec3::Zero();  // on the wall [N]
+  double pressure = 0;        // on its servo's area; 0 without a servo [Pa]
 };
 
 // What a run came to, for tests and for main's last words.
@@ -43,11 +53,17 @@ struct RunReport {
   GrainEnergies start_energies;          // kinetic and elastic, at the first step
   GrainEnergies energies;                // at the last step whose energies were summed up
   Vec3 momentum = Vec3::Zero();          // [kg m/s]
-  bool is_interrupted = false;           // by the user of either side
-  std::string end;                       // the continuum's words
+  double mass = 0;                       // of the grains [kg]
+  std::vector<WallReport> walls;
+  bool is_interrupted = false;  // by the user of either side
+  std::string end;              // the continuum's words
 };
 
-// Runs the session over `channel` to its end. Throws the kinds of common/checks.hpp; the peer has been told why by
+// InputError when the scene has a continuum and no peer, or a peer and no continuum.
+void check_company(const Settings& settings, bool has_peer, const SceneFile& scene);
+
+// Runs the session over `channel` to its end; without a channel a scene that has grains alone: Balance, then Penetrate.
+// InputError as check_company()'s. Throws the kinds of common/checks.hpp; the peer has been told why by
 // then.
 RunReport run_grains(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options);
 

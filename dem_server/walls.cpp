@@ -295,6 +295,16 @@ void Walls::set_moving(bool velocities, bool servos) {
     for (Wall& wall : walls_) wall.state.servo_speed = 0;
 }
 
+bool Walls::is_behind(const Vec3& x) const {
+  return std::any_of(walls_.begin(), walls_.end(), [&](const Wall& wall) {
+    const Vec3 local = wall.state.attitude.conjugate() * (x - wall.state.center);
+    return std::visit(Overloaded{[](const MeshShape&) { return false; },
+                                 // A shell's distance is never negative.
+                                 [&](const auto& shape) { return shape.closest(local).distance < 0; }},
+                      wall.shape);
+  });
+}
+
 bool Walls::is_moving(const Wall& wall) const {
   return !velocity_of(wall).isZero(0) || !spin_of(wall).isZero(0) || (servos_count_ && wall.servo);
 }

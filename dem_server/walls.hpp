@@ -172,6 +172,9 @@ class Walls {
   // Servos choose their speeds from the last compute(), then x += v dt.
   void advance(double dt);
 
+  // Whether x lies behind a wall, where grains cannot be: planes, endless cylinders and solid bodies. Thin shells (tubes and
+  // funnels with the grains inside, meshes) have grains on both sides.
+  bool is_behind(const Vec3& x) const;
   // Per wall, of the last compute().
   const std::vector<WallTotals>& totals() const { return totals_; }
   bool has_servo(std::size_t wall) const { return walls_[wall].servo.has_value(); }

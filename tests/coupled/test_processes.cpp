@@ -208,6 +208,7 @@ struct Pair {
 const Words for_long = {"--set", "run.duration=1000"};
 const std::string small_scene = "scenarios/grain_on_block";
 const std::string slow_packing = "scenarios/pile_quick";
+const std::string grains_alone = "scenarios/rolling_grain";
 
 // A socket of a program that is no Lockstep solver.
 class Socket {
@@ -503,11 +504,54 @@ TEST_CASE("an interrupted run ends on both sides with code 130 and whole files")
   }
 }
 
+TEST_CASE("a side alone runs its scene without a peer, and an interrupt leaves whole files") {
+  const Folder folder;
+  const Words results = {"--results", folder.path().string()};
+  const fs::path ground = folder / "ground.txt";
+  std::ofstream(ground) << "continuum { block { } }\nrun { duration: 0.01 }\n";
+  SECTION("grains") {
+    Process grains(Words{dem_server, grains_alone} + results);
+    CHECK(grains.wait() == 0);
+    CHECK_THAT(grains.out(), !Contains("listening"));
+    CHECK(rows_of(folder / "dem_history.csv") > 0);
+    CHECK_THAT(content_of(folder / "dem_summary.json"),
+               Contains("run.duration is over") && Contains("\"interrupted\": false"));
+  }
+  SECTION("ground") {
+    Process zones(Words{continuum_client, ground.string()} + results);
+    CHECK(zones.wait() == 0);
+    CHECK(rows_of(folder / "continuum_history.csv") > 0);
+  }
+  SECTION("grains that are interrupted on their way") {
+    Process grains(Words{dem_server, grains_alone, "--progress"} + for_long + results);
+    grains.await("side=grains stage=Penetrate");
+    grains.send(SIGINT);
+    CHECK(grains.wait() == exit_interrupted);
+    CHECK(rows_of(folder / "dem_history.csv") > 0);
+    CHECK_THAT(content_of(folder / "dem_summary.json"), Contains("the user interrupted the run") &&
+                                                            Contains("\"interrupted\": true") &&
+                                                            Contains("\"state_hash\""));
+  }
+  SECTION("grains that are interrupted while they are balanced") {
+    // Rest to 1e-9 is not reached in a packing that is still settling.
+    Process grains(Words{dem_server, "scenarios/pressed_cube", "--progress", "--set", "balance.tolerance=1e-9", "--set",
+                         "balance.max_cycles=100000000"} +
+                   results);
+    grains.await("side=grains stage=Balance step=[1-9]");
+    grains.send(SIGINT);
+    CHECK(grains.wait() == exit_interrupted);
+    CHECK_THAT(grains.last_words(), Contains("interrupted in stage Balance"));
+    CHECK_THAT(content_of(folder / "dem_summary.json"), Contains("\"interrupted\": true"));
+  }
+}
+
 TEST_CASE("what is wrong with a command line or a scene is said with key, value and remedy before anything starts") {
   const Folder folder;
   const Port taken;
   std::ofstream(folder / "file") << "not a folder\n";
   const std::string below_file = (folder / "file/results").string();
+  const std::string ground = (folder / "ground.txt").string();
+  std::ofstream(ground) << "continuum { block { } }\n";
   const auto set = [](const std::string& scene, const std::string& override_) {
     return Words{scene, "--set", override_};
   };
@@ -555,6 +599,16 @@ TEST_CASE("what is wrong with a command line or a scene is said with key, value 
       {{small_scene, "--listen", "nohost:0"}, exit_input, {"\"nohost\"", "give 127.0.0.1"}, true, false},
       {{small_scene, "--connect", "127.0.0.1:0"}, exit_input, {"127.0.0.1:0", "port from 1 to 65535"}, false, true},
       {{small_scene}, exit_input, {"the scene has grains", "--connect HOST:PORT"}, false, true},
+      {{small_scene}, exit_input, {"the scene has a continuum", "--listen HOST:PORT", "tools/run"}, true, false},
+      {{grains_alone, "--listen", "127.0.0.1:0"}, exit_input, {"no continuum", "leave --listen out"}, true, false},
+      {{grains_alone}, exit_input, {"no continuum block", "run dem_server alone"}, false, true},
+      {{grains_alone, "--connect", "127.0.0.1:9"},
+       exit_input,
+       {"no continuum block", "run dem_server alone"},
+       false,
+       true},
+      {{ground, "--connect", "127.0.0.1:9"}, exit_input, {"no grains", "leave --connect out"}, false, true},
+      {{ground}, exit_input, {"no `grains` block", "add one"}, true, false},
   };
   for (const Wrong& wrong : wrongs) {
     for (const bool are_grains : {true, false}) {
@@ -622,18 +676,21 @@ TEST_CASE("the command lines that the programs show do run") {
   // As they stand there, in a folder with scenarios/; but the port is a free one.
   const Folder folder;
   fs::create_directory_symlink(fs::path(SOURCE_DIR) / "scenarios", folder / "scenarios");
-  SECTION("dem_server: listens") {
+  SECTION("dem_server: listens, or runs grains alone to their end") {
     for (Words command : examples_of(dem_server, "dem_server/main.cpp")) {
       if (std::string* address = value_of(command, "--listen")) *address = "127.0.0.1:0";
       CAPTURE(command);
       Process grains(command, folder.path());
-      if (std::find(command.begin(), command.end(), "--keys") == command.end()) {
+      if (value_of(command, "--listen")) {
         address_of(grains);
         grains.send(SIGINT);
         CHECK(grains.wait() == exit_interrupted);
       } else {
         CHECK(grains.wait() == 0);
-        CHECK_THAT(grains.out(), Contains("peer_timeout"));
+        if (std::find(command.begin(), command.end(), "--keys") == command.end())
+          CHECK_THAT(grains.out(), !Contains("listening"));
+        else
+          CHECK_THAT(grains.out(), Contains("peer_timeout"));
       }
     }
   }
@@ -688,6 +745,51 @@ TEST_CASE("tools/run runs both programs and leaves a folder with all there is to
     run.send(SIGINT);
     CHECK(run.wait() == exit_interrupted);
     CHECK(fs::exists(folder / "run/summary.json"));
+  }
+}
+
+TEST_CASE("tools/run starts only the program that a scene needs") {
+  const Folder folder;
+  const fs::path ground = folder / "ground.txt", nothing = folder / "nothing.txt";
+  std::ofstream(ground) << "continuum { block { } }\nrun { duration: 0.01 }\n";
+  std::ofstream(nothing) << "gravity: 1\n";
+  const fs::path out = folder / "run";
+  const auto run_of = [&](const std::string& scene, const Words& more = {}) {
+    return Words{SOURCE_DIR "/tools/run", scene, "--programs", BINARY_DIR "/bin", "--out", out.string()} + more;
+  };
+  SECTION("one side") {
+    const bool are_grains = GENERATE(true, false);
+    const std::string side = are_grains ? "dem_server" : "continuum_client",
+                      other = are_grains ? "continuum_client" : "dem_server";
+    Process run(run_of(are_grains ? grains_alone : ground.string()));
+    const int exit_code = run.wait();
+    INFO(run.out() << run.err());
+    CHECK(exit_code == 0);
+    CHECK_THAT(run.out(), Contains("done") && Contains(are_grains ? "Penetrate" : "InitialStress"));
+    CHECK_THAT(content_of(out / "manifest.json"), Contains(side) && !Contains(other));
+    CHECK_THAT(content_of(out / "summary.json"), Contains("\"" + side + "\"") && !Contains("\"" + other + "\""));
+    CHECK(fs::exists(out / (side + ".log")));
+    CHECK_FALSE(fs::exists(out / (other + ".log")));
+  }
+  SECTION("an interrupt") {
+    Process run(run_of(grains_alone, for_long));
+    run.await("Penetrate");
+    run.send(SIGINT);
+    CHECK(run.wait() == exit_interrupted);
+    CHECK_THAT(content_of(out / "manifest.json"), Contains("\"exit_code\": 130"));
+    CHECK(fs::exists(out / "summary.txt"));
+  }
+  SECTION("what is refused leaves no folder") {
+    Process wrong(run_of(grains_alone, {"--set", "grains.bogus=1"}));
+    CHECK(wrong.wait() == exit_input);
+    CHECK_THAT(wrong.err(), Contains("\"bogus\" is no key"));
+    Process no_use(run_of(ground.string(), {"--packing", "some.packing"}));
+    CHECK(no_use.wait() == exit_input);
+    CHECK_THAT(no_use.err(), Contains("--packing some.packing") && Contains("needs no dem_server"));
+    Process no_scene(run_of(nothing.string()));
+    CHECK(no_scene.wait() == exit_input);
+    CHECK_THAT(no_scene.err(), Contains("no block grains and no block continuum"));
+    CHECK_FALSE(fs::exists(out));
   }
 }
 

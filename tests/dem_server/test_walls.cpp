@@ -369,3 +369,33 @@ TEST_CASE("Walls refuse shapes that have no surface") {
   CHECK_THROWS_AS(Pile(shape, 0), InputError);
   CHECK_THROWS_AS(Pile(cone(pi), 0), InputError);
 }
+
+TEST_CASE("What lies behind a wall is known for planes, endless cylinders and solid bodies, shells have no behind") {
+  const auto is_behind = [](const WallShape& shape, const Vec3& x) {
+    WallSettings one;
+    one.shape = shape;
+    return Walls(std::vector<WallSettings>{one}).is_behind(x);
+  };
+  const PlaneShape floor{Vec3(0, 0, 1), Vec3::UnitZ()};
+  CHECK(is_behind(floor, {0, 0, 0.9}));
+  CHECK_FALSE(is_behind(floor, {0, 0, 1.1}));
+  const CylinderShape drum{Vec3::Zero(), Vec3::UnitY(), 0.5, Side::Inside};
+  CHECK(is_behind(drum, {0.6, 3, 0}));
+  CHECK_FALSE(is_behind(drum, {0.4, 3, 0}));
+  const FrustumShape rod{Vec3::Zero(), Vec3::UnitZ(), 0.5, 0.2, 1, Side::Outside};
+  CHECK(is_behind(rod, {0.3, 0, 0.5}));
+  CHECK_FALSE(is_behind(rod, {0.4, 0, 0.5}));
+  CHECK_FALSE(is_behind(rod, {0, 0, 1.1}));
+  FrustumShape funnel = rod;
+  funnel.side = Side::Inside;
+  CHECK_FALSE(is_behind(funnel, {0.3, 0, 0.5}));
+  CHECK_FALSE(is_behind(funnel, {0.4, 0, 0.5}));
+  // Where a wall stands now counts: 0.2 m lower after a second.
+  WallSettings sinking;
+  sinking.shape = floor;
+  sinking.velocity = {0, 0, -0.2};
+  Walls walls(std::vector<WallSettings>{sinking});
+  walls.advance(1);
+  CHECK_FALSE(walls.is_behind({0, 0, 0.9}));
+  CHECK(walls.is_behind({0, 0, 0.7}));
+}
