@@ -73,11 +73,12 @@ Layout layout(const ReflectionCase& c) {
   l.length = c.is_hump ? wavelength(c) : (c.kind == WaveKind::Oblique ? oblique_periods : periods) * 2 * pi / k;
   const double margin = std::max(4 * zone_size(c), 0.5 * wavelength(c));
   l.center = margin + 0.5 * l.length;
-  // The hump's spectrum has its first zero 4 pi / length off the middle, and a few percent of amplitude beyond.
+  // The hump's spectrum has its first zero 4 pi / length off the middle, 3 % of amplitude beyond it and 0.3 % beyond 10 pi
+  // / length. Long oblique waves are the slow ones, along z.
   const double half_width = 6 * pi / l.length;
   double slowest = m.group_velocity(c.from, c.is_hump ? 0.01 * half_width : k);
   const double middle = c.is_hump ? 0.0 : k;
-  for (const double off : {-1.0, -0.5, 0.5, 1.0}) {
+  for (const double off : {c.kind == WaveKind::Oblique ? -1.7 : -1.0, -0.5, 0.5, 1.0}) {
     const double near = std::clamp(std::abs(middle + off * half_width), 0.2 * k, 0.9 * limit);
     slowest = std::min(slowest, m.group_velocity(c.from, near));
   }
