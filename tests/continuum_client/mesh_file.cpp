@@ -34,11 +34,11 @@ Grid with_hole(const std::string& bytes) {
   return of_one_material(build_from_file(s), test_material);
 }
 
-using Place = std::array<double, 3>;
-Place place(const Vec3& x) { return {x.x(), x.y(), x.z()}; }
+using Key = std::array<double, 3>;
+Key place(const Vec3& x) { return {x.x(), x.y(), x.z()}; }
 
-std::map<Place, std::int32_t> nodes_by_place(const Grid& grid) {
-  std::map<Place, std::int32_t> nodes;
+std::map<Key, std::int32_t> nodes_by_place(const Grid& grid) {
+  std::map<Key, std::int32_t> nodes;
   for (std::size_t i = 0; i < grid.node_count(); ++i) nodes[place(grid.node[i])] = static_cast<std::int32_t>(i);
   return nodes;
 }
@@ -62,7 +62,7 @@ struct Difference {
 
 Difference difference(const Grid& a, const Grid& b) {
   Difference d;
-  const std::map<Place, std::int32_t> of_b = nodes_by_place(b);
+  const std::map<Key, std::int32_t> of_b = nodes_by_place(b);
   const Vec3s fa = force_of_wave(a), fb = force_of_wave(b);
   double scale = 0;
   for (std::size_t i = 0; i < a.node_count(); ++i) {
@@ -71,10 +71,10 @@ Difference difference(const Grid& a, const Grid& b) {
   }
   d.force /= scale;
   const auto facets = [](const Grid& g) {
-    std::map<std::set<Place>, std::pair<int, Vec3>> all;  // ring and area vector by corners
+    std::map<std::set<Key>, std::pair<int, Vec3>> all;  // ring and area vector by corners
     for (std::size_t f = 0; f < g.facet.size(); ++f) {
       FacetCorners x;
-      std::set<Place> corners;
+      std::set<Key> corners;
       for (int c = 0; c < 4; ++c) x[c] = g.node[g.facet[f][c]], corners.insert(place(x[c]));
       all[corners] = {g.ring[f], facet_area_vector(x)};
     }
@@ -89,9 +89,9 @@ Difference difference(const Grid& a, const Grid& b) {
       d.area = std::max(d.area, (other->second.second - facet.second).norm() / facet.second.norm());
   }
   const auto zones = [](const Grid& g) {
-    std::map<std::set<Place>, std::pair<int, int>> all;  // level and domain by corners
+    std::map<std::set<Key>, std::pair<int, int>> all;  // level and domain by corners
     for (std::size_t z = 0; z < g.zone_count(); ++z) {
-      std::set<Place> corners;
+      std::set<Key> corners;
       for (const std::int32_t n : g.zone[z]) corners.insert(place(g.node[n]));
       all[corners] = {g.level[z], g.in_discrete_domain[z]};
     }
@@ -201,7 +201,7 @@ TEST_CASE("a mesh without columns works: a brick of tetrahedra, each cut into fo
   // Linear displacements are exact for zones of any shape: no force at inner nodes. A cube is six tetrahedra around its
   // diagonal; each gives four hexahedra, from each corner to the middles of its edges, faces and inside.
   PlainMesh m;
-  std::map<Place, std::int32_t> known;
+  std::map<Key, std::int32_t> known;
   const auto node = [&](const Vec3& x) {
     const auto [found, is_new] = known.emplace(place(x), static_cast<std::int32_t>(m.node.size()));
     if (is_new) m.node.push_back(x);
@@ -392,7 +392,7 @@ TEST_CASE("what is wrong with a mesh is named with its zone, place and remedy") 
              Contains("1 bodies share no face") && Contains("7 zones with zone 1008 around (4.5, -0.5, -1.5)"));
   CHECK_THAT(changed([](PlainMesh& m) {  // a brick of 3 x 3 zones on one of 2 x 2: four nodes at the corners are shared
                const PlainMesh fine = plain(brick(2, 2, 2, 3, 3, 2));
-               std::map<Place, std::int32_t> known;
+               std::map<Key, std::int32_t> known;
                for (std::size_t i = 0; i < m.node.size(); ++i) known[place(m.node[i])] = static_cast<std::int32_t>(i);
                for (ZoneNodes zone : fine.zone) {
                  for (std::int32_t& n : zone) {
