@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "common/checks.hpp"
+#include "dem_server/constants.hpp"
 
 namespace lockstep::dem {
 
@@ -72,7 +73,7 @@ ClumpTemplate make_clump(int pebbles, double elongation) {
     ClumpTemplate sphere;
     sphere.pebble_center = {Vec3::Zero()};
     sphere.pebble_radius = {1.0};
-    sphere.inertia_per_mass = Vec3::Constant(0.4);
+    sphere.inertia_per_mass = Vec3::Constant(sphere_inertia);
     return sphere;
   }
   // Half axes A = elongation, B = 1.

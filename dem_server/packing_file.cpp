@@ -10,6 +10,7 @@
 
 #include "common/checks.hpp"
 #include "common/results.hpp"
+#include "dem_server/constants.hpp"
 
 namespace lockstep::dem {
 
@@ -281,7 +282,7 @@ void get_particles(Reader& reader, Particles& particles) {
   bool has_clumps = false;
   reader.get(has_clumps);
   ClumpTemplate shape;
-  shape.inertia_per_mass = has_clumps ? Vec3(1, 2, 3) : Vec3::Constant(1);  // of any clump, of any sphere
+  shape.inertia_per_mass = has_clumps ? Vec3(1, 2, 3) : Vec3::Constant(sphere_inertia);  // of any clump, of any sphere
   for (std::size_t b = 0; b < bodies; ++b) {
     const auto place = get_record<SphereRecord>(reader);
     const auto motion = get_record<MotionRecord>(reader);
