@@ -9,7 +9,7 @@
 // piles within the limit show -0.99 to -0.67, packings at 1.1 to 1.5 of the bound 0.4 to 0.99 (the README's table).
 //
 // It says nothing where nothing is damped: there a mode near the limit may live for ever and be followed, if badly; energies
-// tell of its growth (common/coupled_ledger.hpp). Nor at rest to round-off, where noise turns as it likes.
+// tell of its growth (common/coupled_ledger.hpp).
 #pragma once
 #include <cstdint>
 
@@ -29,8 +29,9 @@ class Reversal {
   static constexpr std::uint32_t reversal_interval = 25;  // steps: with the next one an alarm within 100 of the onset
   static constexpr int reversal_looks = 4;
   static constexpr double alarming_reversal = 0.25;
-  // Of mean unbalanced over mean contact force: motion below it is no sign of anything.
-  static constexpr double least_unbalanced_ratio = 1e-6;
+  // Of mean unbalanced over mean contact force. Below it grains are at rest by any scene's measure, and local damping, whose sign
+  // is that of velocities about zero, turns what little is left as it likes; shivering packings have 5e-3 and more.
+  static constexpr double least_unbalanced_ratio = 1e-3;
 
  private:
   void add(double share);
