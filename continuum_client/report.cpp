@@ -145,6 +145,8 @@ void ResultFiles::write_summary(const RunReport& r, const std::string& title) {
                            .add("largest_displacement_m", r.jump.largest)
                            .add("mean_displacement_m", r.jump.mean)
                            .add("largest_in_facet_sizes", r.jump.largest_in_facets)
+                           .add("largest_stress_change_pa", r.jump.stress)
+                           .add("largest_stress_change_of_largest_stress", r.jump.stress_fraction)
                            .add("initial_force_difference", r.jump.force_difference)
                            .add("steps", r.jump.apply_steps)
                            .add("unbalanced_ratio_zones", r.jump.apply_ratio_zones)

@@ -27,6 +27,8 @@ struct JumpReport {
   double largest = 0;            // displacement of an interface node during Apply [m]
   double mean = 0;               // [m]
   double largest_in_facets = 0;  // over the mean facet size [-]
+  double stress = 0;             // largest change of a stress component of a zone during Apply [Pa]
+  double stress_fraction = 0;    // of the largest handed-over component; 0 where there was none [-]
   double force_difference = 0;   // |sum f_A - sum f_D(0)| / |sum of |f_A|| [-]
   double apply_ratio_zones = 0;  // unbalanced ratios at the end of Apply [-]
   double apply_ratio_grains = 0;

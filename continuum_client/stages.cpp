@@ -286,9 +286,10 @@ class Stages {
           settings_.apply_max_steps, report_.jump.apply_ratio_zones, report_.jump.apply_ratio_grains,
           settings_.apply_tolerance);
     end_stage(fmt::format(
-        "{} steps, ratios {:.2e} (zones) and {:.2e} (grains); the interface moved {:.3g} mm at most = {:.2e} facets",
+        "{} steps, ratios {:.2e} (zones) and {:.2e} (grains); the interface moved {:.3g} mm at most = {:.2e} facets, "
+        "stresses changed by {:.3g} Pa at most",
         ground_.step, report_.jump.apply_ratio_zones, report_.jump.apply_ratio_grains, 1e3 * report_.jump.largest,
-        report_.jump.largest_in_facets));
+        report_.jump.largest_in_facets, report_.jump.stress));
   }
 
   // Paper steps 5 to 7, until the pile is down or the time is up.
@@ -473,6 +474,15 @@ class Stages {
     }
     report_.jump.mean = sum / static_cast<double>(s.node_count());
     report_.jump.largest_in_facets = report_.jump.largest / s.mean_facet_size();
+    double largest_stress = 0;
+    for (std::size_t z = 0; z < is_left_.size(); ++z) {
+      if (!is_left_[z]) continue;
+      const Mat3 before = initial_.zone_stress(ground_.grid, z);
+      const Mat3 change = ground_.zone_stress(initial_, z) - before;
+      report_.jump.stress = std::max(report_.jump.stress, change.cwiseAbs().maxCoeff());
+      largest_stress = std::max(largest_stress, before.cwiseAbs().maxCoeff());
+    }
+    report_.jump.stress_fraction = largest_stress > 0 ? report_.jump.stress / largest_stress : 0.0;
   }
 
   void describe_initial_stress() {

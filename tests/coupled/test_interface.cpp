@@ -133,6 +133,20 @@ TEST_CASE("a limit that falls is answered by a smaller step or by the end of the
   CHECK_THAT(v.grains, Contains(v.zones));
 }
 
+TEST_CASE("the hand-off reports how far it moved the interface and changed the stresses") {
+  // A column of zones held at its sides takes the weight W of a grain on its middle as sigma_zz = -W / A in each zone, and
+  // settles by (W / A) h / M: before Apply it carried nothing but itself.
+  const Reports r = run_in_process(
+      "grain_on_block", {"continuum.block.zones_x=1", "continuum.block.zones_y=1", "continuum.supports=ROLLERS",
+                         "grains.grain[0].center.x=0", "grains.grain[0].center.y=0", "apply.tolerance=1e-6"});
+  const double weight = 2650 * 4.0 / 3.0 * pi * std::pow(0.03, 3) * 9.81, area = 0.04;
+  const double oedometer_modulus = 44.3e6 * 0.7 / (1.3 * 0.4);
+  INFO("stress " << r.zones.jump.stress / (weight / area) << ", move "
+                 << r.zones.jump.largest / (weight / area * 0.1 / oedometer_modulus) << " of the exact ones");
+  CHECK(r.zones.jump.stress == Approx(weight / area).epsilon(1e-3));
+  CHECK(r.zones.jump.largest == Approx(weight / area * 0.1 / oedometer_modulus).epsilon(1e-3));
+}
+
 TEST_CASE("several steps of the grains to one of the ground: the same weight at rest, the same impulse on both sides") {
   // At rest the node's forces are the grain's weight, whatever they are the mean of. Sum F dt on the nodes is, to the last
   // steps' half, what gravity has given to the grain: both sides book the same.
