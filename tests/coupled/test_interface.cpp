@@ -147,6 +147,31 @@ TEST_CASE("the hand-off reports how far it moved the interface and changed the s
   CHECK(r.zones.jump.largest == Approx(weight / area * 0.1 / oedometer_modulus).epsilon(1e-3));
 }
 
+TEST_CASE("a coupled model at rest stays there: what drifts in energy, force and place is round-off") {
+  // Doubles at z = 0.03 m are 2^-58 m apart. A move of less than half of that, 2^-59 m in a step, moves nothing, but its work on
+  // the weight W is booked; and a step that does move is rounded by as much. So N steps may shift the residual by N W 2^-58 m,
+  // and anything beyond is a drift.
+  const Overrides at_rest = {"grains.grain[0].center.x=0", "grains.grain[0].center.y=0", "continuum.block.zones_x=3",
+                             "continuum.block.zones_y=3"};
+  const Reports first = run_in_process("grain_on_block", with(at_rest, {"run.duration=0.6"}));
+  const Reports later = run_in_process("grain_on_block", with(at_rest, {"run.duration=3.0"}));
+  const double weight = 2650 * 4.0 / 3.0 * pi * std::pow(0.03, 3) * 9.81;
+  const double steps = static_cast<double>(later.grains.steps - first.grains.steps);
+  const double residual = later.grains.coupled->residual() - first.grains.coupled->residual();
+  INFO(steps << " steps more: residual " << residual << " J, allowed " << steps * weight * std::ldexp(1, -58)
+             << " J; elastic energy of zones " << later.zones.ledger.elastic - first.zones.ledger.elastic << " J of "
+             << later.zones.ledger.elastic << " J; force "
+             << (later.grains.interface_force - first.grains.interface_force).norm() / weight
+             << " of the weight; settlement " << later.zones.settlement - first.zones.settlement << " m");
+  CHECK(steps > 20000);
+  CHECK(std::abs(residual) < steps * weight * std::ldexp(1, -58));
+  CHECK(std::abs(later.zones.ledger.elastic - first.zones.ledger.elastic) < 1e-9 * later.zones.ledger.elastic);
+  CHECK((later.grains.interface_force - first.grains.interface_force).norm() < 1e-9 * weight);
+  CHECK(std::abs(later.zones.settlement - first.zones.settlement) < 1e-9 * later.zones.settlement);
+  CHECK(later.grains.kinetic_energy < 1e-25);
+  CHECK(later.grains.momentum.norm() < 1e-12);
+}
+
 TEST_CASE("several steps of the grains to one of the ground: the same weight at rest, the same impulse on both sides") {
   // At rest the node's forces are the grain's weight, whatever they are the mean of. Sum F dt on the nodes is, to the last
   // steps' half, what gravity has given to the grain: both sides book the same.
