@@ -6,7 +6,7 @@
 // opposite, where those of a motion that is followed are alike:
 //   share = - sum m a(n) . a(n-1) / sum m |a|^2,
 // in the mean (omega dt)^2 / 2 - 1 for a mode of omega: -1 for slow motion, 1 for modes at the limit and above. Packings and
-// piles within the limit show -0.99 to -0.67, packings at 1.1 to 1.5 of the bound 0.4 to 0.99 (the README's table).
+// piles within the limit show -0.99 to -0.67, packings at 1.1 to 1.5 of the bound mostly 0.4 to 0.99 (common/README.md has the table).
 //
 // It says nothing where nothing is damped: there a mode near the limit may live for ever and be followed, if badly; energies
 // tell of its growth (common/coupled_ledger.hpp).
