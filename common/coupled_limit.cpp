@@ -29,7 +29,14 @@ void CoupledLimit::set_contacts(const std::vector<double>& node_stiffness) {
     largest = 2 * node_stiffness[i] / ground_.node_mass[i];
     worst_node_ = static_cast<std::int64_t>(i), worst_stiffness_ = node_stiffness[i];
   }
+  contacts_ = 0.5 * largest;
   interface_ = share() * stable_step(ground_.frequency_squared + largest, ground_.damping, ground_.stiffness_damping);
+}
+
+double CoupledLimit::grains_on_ground(double own, double touching) const {
+  if (own + touching <= ground_.frequency_squared + 2 * contacts_) return own;
+  const double zones = ground_.frequency_squared + contacts_, half = 0.5 * (own - zones);
+  return 0.5 * (own + zones) + std::sqrt(half * half + touching * contacts_);
 }
 
 void CoupledLimit::set_grains(double limit, std::string culprit) {

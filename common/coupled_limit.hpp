@@ -4,10 +4,15 @@
 // Leap-frog is stable for omega_max dt <= 2, omega_max^2 the largest eigenvalue of M^-1 K. Local damping adds alpha |F|
 // against the motion; in the highest mode, which turns sign at each step, that makes the force (1 + alpha) F, so the limit
 // shrinks to 2 / omega_max / sqrt(1 + alpha). Contacts at the interface add stiffness to nodes. With C the contacts'
-// stiffness, ||C|| <= max(k_n, k_s), and bilinear weights w that sum to one, the block maximum norm of M^-1 C is at most
-// the maximum over nodes of 2 sum(k w) / m, and over grains of a like sum, which is the grains' own limit. So
-//   omega^2 <= omega_c^2 + max_nodes 2 sum(k w) / m     for the zones,
-// and the step of both is the smaller of that limit and the grains'.
+// stiffness and a, b the two sides' motion at the contact, each holds, for any t > 0,
+//   1/2 C (a - b)^2 <= (1 + t) 1/2 C a^2 + (1 + 1/t) 1/2 C b^2,
+// and with bilinear weights w that sum to one b^2 <= sum w u^2. So grains and zones come apart:
+//   omega^2 <= max(G + t g, Z + z / t),   G: grains alone, facets as rigid walls;   g: contacts with facets alone, the largest grain
+//                                         Z = omega_c^2 + z: zones with contacts,   z = max over nodes of sum(k w) / m
+// t = 1 is the zones' own rule, omega_c^2 + 2 z, which is enough wherever G + g lies below it. Elsewhere the grains answer for
+// both, with the best t, where both are equal: the larger eigenvalue of [[G, sqrt(g z)], [sqrt(g z), Z]]. G alone is not
+// enough: a sphere of half the mass of a soft ground's node has 1.5 k / m, and G = k / m. The step of both is the smaller of the two
+// limits.
 //
 // With n steps of the grains to one of the zones (exchange interval) the grains tell n times their own limit, and the zones
 // must keep to half of theirs: forces that are a mean over the interval come half of it late, which takes damping away.
@@ -41,6 +46,10 @@ class CoupledLimit {
   CoupledLimit() = default;
   CoupledLimit(GroundStiffness ground, std::uint32_t exchange_interval = 1);
 
+  // What grains on this ground have for omega^2, from theirs with facets as rigid walls (G above) and that of the contacts with
+  // facets alone (g) [1/s2]. Uses what set_contacts() was told last. G itself where the zones' rule covers the rest.
+  double grains_on_ground(double own, double touching) const;
+
   // sum(k w) per interface node [N/m].
   void set_contacts(const std::vector<double>& node_stiffness);
   // The grains' own limit per exchange, damping included; 0: none [s]. Which of them sets it, in words.
@@ -65,6 +74,7 @@ class CoupledLimit {
   double zones_ = 0, interface_ = 0, grains_ = 0;
   std::int64_t worst_node_ = -1;
   double worst_stiffness_ = 0;  // of that node [N/m]
+  double contacts_ = 0;         // z: its stiffness over its mass [1/s2]
   std::string grains_culprit_;
 };
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 
+#include "common/checks.hpp"
 #include "common/random.hpp"
 #include "continuum_client/constants.hpp"
 
@@ -49,11 +50,18 @@ double lanczos_frequency_squared(const StiffnessMatrix& stiffness, const std::ve
     beta.push_back(length);
   }
   beta.resize(alpha.size() - 1);
+  // The solver's test for a zero off-diagonal is made for entries near 1: with others it does not converge, and its
+  // eigenvalues are in no order.
+  const double largest = *std::max_element(alpha.begin(), alpha.end());
+  if (!(largest > 0)) return 0;
+  const double unit = std::ldexp(1.0, std::ilogb(largest));  // a power of two, which rounds nothing
   const auto n = static_cast<Eigen::Index>(alpha.size());
+  const Eigen::VectorXd diagonal = Eigen::Map<const Eigen::VectorXd>(alpha.data(), n) / unit;
+  const Eigen::VectorXd beside = Eigen::Map<const Eigen::VectorXd>(beta.data(), n - 1) / unit;
   Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver;
-  solver.computeFromTridiagonal(Eigen::Map<const Eigen::VectorXd>(alpha.data(), n),
-                                Eigen::Map<const Eigen::VectorXd>(beta.data(), n - 1), Eigen::EigenvaluesOnly);
-  return std::max(0.0, solver.eigenvalues()[n - 1]);
+  solver.computeFromTridiagonal(diagonal, beside, Eigen::EigenvaluesOnly);
+  LOCKSTEP_ASSERT(solver.info() == Eigen::Success, "the eigenvalues of {} products of Lanczos' were not found", n);
+  return unit * solver.eigenvalues().maxCoeff();
 }
 
 namespace {

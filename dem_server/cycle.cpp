@@ -53,18 +53,23 @@ void move(Model& m) {
   if (m.pile) m.pile->advance(m.time_step);
 }
 
-// What one contact of each body with a facet would allow, whether there is one or not: for a lever of the equivalent
-// radius, omega^2 = k (1/m + R^2/I) bounds it in any direction.
-double first_touch_step(const Model& m, double damping) {
-  double largest = 0;  // omega^2 [1/s2]
+// omega^2 of one contact of a body, whether there is one or not: for a lever of the equivalent radius, k (1/m + R^2/I)
+// bounds it in any direction. The largest of all bodies, with a facet alone and with a facet or a wall [1/s2].
+struct FirstTouch {
+  double facet = 0, any = 0;
+};
+FirstTouch first_touch(const Model& m) {
+  FirstTouch largest;
   for (std::size_t b = 0; b < m.particles.body_count(); ++b) {
     const double radius = m.particles.equivalent_radius(b);
-    const double stiffness =
-        std::max(m.facet_material.normal_stiffness(radius), 2 * m.material.normal_stiffness(radius, radius));
+    const double facet = m.facet_material.normal_stiffness(radius);
+    const double stiffness = std::max(facet, 2 * m.material.normal_stiffness(radius, radius));
     const double shear = 1 / m.particles.mass(b) + radius * radius / m.particles.inertia(b).minCoeff();
-    largest = std::max(largest, stiffness * std::max(1 / m.particles.mass(b), shear / m.material.stiffness_ratio));
+    const double mobility = std::max(1 / m.particles.mass(b), shear / m.material.stiffness_ratio);
+    largest.facet = std::max(largest.facet, facet * mobility);
+    largest.any = std::max(largest.any, stiffness * mobility);
   }
-  return 2 / std::sqrt(largest * (1 + damping));
+  return largest;
 }
 
 // A body that crosses half its radius within a step has lost its contacts' control: instability, or absurd
@@ -117,17 +122,22 @@ void evaluate_forces(Model& m) {
 }
 
 StepLimit stable_step(const Model& m, double damping) {
-  StiffnessSum stiffness;
-  stiffness.reset(m.particles.body_count());
+  StiffnessSum stiffness, touching;
+  stiffness.reset(m.particles.body_count()), touching.reset(m.particles.body_count());
   const auto add = [&](const ContactView& contact) { stiffness.add(contact, m.particles); };
   m.contacts.for_each_contact(m.particles, add);
-  m.facets.for_each_contact(add);
+  m.facets.for_each_contact(
+      [&](const ContactView& contact) { stiffness.add(contact, m.particles), touching.add(contact, m.particles); });
   m.walls.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);
 
   StepLimit limit;
   limit.step = stiffness.stable_step(damping, &limit.worst_body);
-  if (const double first = first_touch_step(m, damping); first < limit.step) limit = {first, -1};
+  const FirstTouch first = first_touch(m);
+  if (const double step = 2 / std::sqrt(first.any * (1 + damping)); step < limit.step)
+    limit.step = step, limit.worst_body = -1;
+  const double touch = touching.stable_step(0);  // infinite without contacts
+  limit.touching_squared = std::max(first.facet, 4 / (touch * touch));
   return limit;
 }
 

@@ -53,6 +53,7 @@ class GrainsRun {
         output_(settings_, options.results),
         prints_progress_(options.prints_progress),
         packing_path_(options.packing),
+        watches_shivering_(options.watches_shivering),
         threads_(options.threads),
         balance_threads_(options.balance_threads),
         session_(make_session(settings_, std::move(channel), options.record_path)) {
@@ -121,6 +122,7 @@ class GrainsRun {
   }
   double s_over_d() const { return settings_.pile ? 0.5 * penetration() / settings_.pile->shape.radius : 0.0; }
   double target_vertical_pressure(double z) const;
+  StepLimit grains_limit() const;
   std::string culprit(const StepLimit& limit) const;
   double weight_above(double z) const;
   double tip_target() const;
@@ -143,6 +145,7 @@ class GrainsRun {
   Output output_;
   bool prints_progress_;
   std::filesystem::path packing_path_;
+  bool watches_shivering_;
   int threads_, balance_threads_;
   std::unique_ptr<Session> session_;  // none when the grains are alone
 
@@ -571,6 +574,15 @@ std::string GrainsRun::culprit(const StepLimit& limit) const {
   return fmt::format("grain {} at ({:.4g}, {:.4g}, {:.4g}) m", limit.worst_body, x.x(), x.y(), x.z());
 }
 
+// The grains' limit on the ground as the peer described it, from the contacts of the moment.
+StepLimit GrainsRun::grains_limit() const {
+  const double damped = 1 + settings_.step_damping;
+  StepLimit limit = stable_step(*model_, settings_.step_damping);
+  const double own = 4 / (limit.step * limit.step * damped);
+  limit.step = 2 / std::sqrt(told_limit_.grains_on_ground(own, limit.touching_squared) * damped);
+  return limit;
+}
+
 void GrainsRun::excavate() {
   stage_ = protocol::Stage::Excavate;
   const auto begin = Clock::now();
@@ -581,18 +593,18 @@ void GrainsRun::excavate() {
         "ContinuumExcavated.position_hash is {:016x}, but the nodes sent with InitialStress hash to {:016x}: "
         "the peer has moved its interface since",
         theirs.position_hash, m.facets.position_hash()));
-  limit_ = stable_step(m, settings_.step_damping);
   told_limit_ = CoupledLimit(theirs.stiffness, settings_.exchange_interval);
   protocol::GrainsExcavated reply;
   reply.offset = m.facets.offsets();
-  reply.stable_step = settings_.exchange_interval * limit_.step;
-  reply.limited_by = culprit(limit_);
   // A node that nothing touches yet counts as if one grain did: a first touch must not find too long a step.
   const double first_touch = m.facet_material.normal_stiffness(m.particles.largest_radius());
   told_stiffness_ = m.facets.node_stiffness();
   for (double& k : told_stiffness_) k = std::max(k, first_touch);
   reply.node_stiffness = told_stiffness_;
   told_limit_.set_contacts(told_stiffness_);
+  limit_ = grains_limit();
+  reply.stable_step = settings_.exchange_interval * limit_.step;
+  reply.limited_by = culprit(limit_);
   told_limit_.set_grains(reply.stable_step, reply.limited_by);
   reply.nodal_force = m.facets.nodal_force();
   reply.position_hash = m.facets.position_hash();
@@ -655,7 +667,7 @@ class GrainsRun::Peer : public Boundary {
   // After the cycle, while the message is on its way.
   void take_stock(Model& m) {
     if (m.step % limit_interval == 0) {
-      const StepLimit now = stable_step(m, run_.settings_.step_damping);
+      const StepLimit now = run_.grains_limit();
       if (now.step < limit_.step) limit_ = now;
     }
     if (!is_last_part()) return;
@@ -816,7 +828,7 @@ void GrainsRun::choose_detail(bool is_booked) {
 void GrainsRun::record_step() {
   const Model& m = *model_;
   if (m.detail == Detail::All) ratio_ = unbalanced_ratio(m);
-  if (m.damping > 0) watch_reversal();
+  if (watches_shivering_ && m.damping > 0) watch_reversal();
   output_.record(m, s_over_d(), ratio_);
   if (m.step % heartbeat_interval == 0) {
     watch();
@@ -961,6 +973,8 @@ RunReport GrainsRun::finish() {
   r.worst_vertical_imbalance = m.ledger.worst_vertical_imbalance();
   r.worst_action_reaction = m.ledger.worst_action_reaction();
   r.coupled = coupled_;
+  r.unbalanced_ratio = ratio_;
+  r.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
   r.kinetic_energy = m.ledger.energies().kinetic;
   r.start_energies = m.ledger.start();
   r.energies = m.ledger.energies();

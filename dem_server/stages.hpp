@@ -23,6 +23,7 @@ struct RunOptions {
   bool prints_progress = false;   // "@progress" lines
   std::filesystem::path packing;  // balanced packing: taken from this file, or written to it; empty: made and not kept
   int threads = 1;                // from Apply on
+  bool watches_shivering = true;  // false: for who judges by himself whether a packing rests (reversal.hpp)
   int balance_threads = 1;        // while the peer waits: stage Balance; no bit depends on either
 };
 
@@ -49,6 +50,8 @@ struct RunReport {
   double worst_vertical_imbalance = 0;   // over the largest term [-]
   double worst_action_reaction = 0;      // over the largest force sum [-]
   std::optional<CoupledLedger> coupled;  // of both sides together
+  double unbalanced_ratio = 0;           // of the grains, the latest that was summed up [-]
+  std::uint64_t contacts = 0;            // of grains with grains and facets that touch, at the last step
   double kinetic_energy = 0;             // of the grains [J]
   GrainEnergies start_energies;          // kinetic and elastic, at the first step
   GrainEnergies energies;                // at the last step whose energies were summed up

@@ -16,27 +16,38 @@ struct Reports {
   continuum::RunReport zones;
 };
 
-// Runs a scene with both sides in this process; the first error of either side is thrown on.
-inline Reports run_both(const SceneFile& scene) {
-  auto [server, client] = protocol::make_loopback();
+// How both sides ended: a report of each that came to its end, the error of each that did not.
+struct Outcome {
   Reports reports;
   std::exception_ptr grains_failed, zones_failed;
+};
+
+// Runs a scene with both sides in this process.
+inline Outcome try_both(const SceneFile& scene, const dem::RunOptions& grains_options = {}) {
+  auto [server, client] = protocol::make_loopback();
+  Outcome o;
   std::thread grains([&, channel = std::move(server)]() mutable {
     try {
-      reports.grains = dem::run_grains(scene, std::move(channel), {});
+      o.reports.grains = dem::run_grains(scene, std::move(channel), grains_options);
     } catch (...) {
-      grains_failed = std::current_exception();
+      o.grains_failed = std::current_exception();
     }
   });
   try {
-    reports.zones = continuum::run_continuum(scene, {}, std::move(client), {});
+    o.reports.zones = continuum::run_continuum(scene, {}, std::move(client), {});
   } catch (...) {
-    zones_failed = std::current_exception();
+    o.zones_failed = std::current_exception();
   }
   grains.join();
-  if (grains_failed) std::rethrow_exception(grains_failed);
-  if (zones_failed) std::rethrow_exception(zones_failed);
-  return reports;
+  return o;
+}
+
+// The same; the first error of either side is thrown on.
+inline Reports run_both(const SceneFile& scene) {
+  Outcome o = try_both(scene);
+  if (o.grains_failed) std::rethrow_exception(o.grains_failed);
+  if (o.zones_failed) std::rethrow_exception(o.zones_failed);
+  return std::move(o.reports);
 }
 
 }  // namespace lockstep
