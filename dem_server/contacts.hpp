@@ -151,10 +151,10 @@ class PairContacts {
 
   NeighborSearch search_;
   std::vector<OuterChunk> outer_;
-  std::vector<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made
-  std::vector<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
-  std::vector<char> is_fast_;              // per pebble, at the last renewal
-  double outer_growth_ = 0, growth_ = 0;   // Particles::growth() then [m]
+  LargeArray<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made
+  LargeArray<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
+  std::vector<char> is_fast_;             // per pebble, at the last renewal
+  double outer_growth_ = 0, growth_ = 0;  // Particles::growth() then [m]
 
   std::vector<Chunk> chunks_;
   std::vector<PairSums> sums_;             // per chunk

@@ -18,7 +18,7 @@ Quat quaternion(const AttitudeRecord& a) { return {a.qw, a.qx, a.qy, a.qz}; }
 
 // Puts `value` before the record behind the last.
 template <class Record>
-void push(std::vector<Record>& records, const Record& value) {
+void push(LargeArray<Record>& records, const Record& value) {
   records.insert(records.end() - 1, value);
 }
 

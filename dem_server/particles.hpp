@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "common/hash.hpp"
+#include "common/huge_pages.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/records.hpp"
 
@@ -138,15 +139,15 @@ class Particles {
   void become_clumps();
 
   // One entry a body, and one behind the last.
-  std::vector<SphereRecord> bodies_;
-  std::vector<MotionRecord> motion_;
-  std::vector<LoadRecord> loads_;
+  LargeArray<SphereRecord> bodies_;
+  LargeArray<MotionRecord> motion_;
+  LargeArray<LoadRecord> loads_;
   // Only where there are clumps: attitude and moments, first pebble.
-  std::vector<AttitudeRecord> attitudes_;   // one entry a body
+  LargeArray<AttitudeRecord> attitudes_;    // one entry a body
   std::vector<std::int32_t> pebble_begin_;  // one more than bodies, and one behind
   // Only where there are clumps, one entry a pebble and one behind the last.
-  std::vector<SphereRecord> pebbles_;
-  std::vector<SphereRecord> offsets_;  // from the centre of mass, body frame, and the pebble's radius
+  LargeArray<SphereRecord> pebbles_;
+  LargeArray<SphereRecord> offsets_;  // from the centre of mass, body frame, and the pebble's radius
   std::vector<std::int32_t> pebble_body_;
   double growth_ = 0;  // [m]
 };
