@@ -94,7 +94,8 @@ void evaluate_forces(Model& model);
 struct StepLimit {
   double step = 0;               // [s]
   std::int32_t worst_body = -1;  // -1: a first touch limits
-  double touching_squared = 0;   // omega^2 of contacts with facets alone, the largest of a body, a first touch included [1/s2]
+  double touching_squared =
+      0;  // omega^2 of contacts with facets alone, the largest of a body, a first touch included [1/s2]
 };
 StepLimit stable_step(const Model& model, double damping);
 

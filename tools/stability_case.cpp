@@ -147,7 +147,7 @@ std::string scene_text(Scene scene, double damping, double step_fraction) {
         "}}\n"
         "}}\n",
         scene == Scene::Bounce ? 200 : 0, scene == Scene::Bounce ? 0.0 : 0.7, scene == Scene::Bounce ? 0 : 4);
-  const double duration = scene == Scene::Packing ? 0.03 : scene == Scene::Bounce ? 0.1 : 0.01;
+  const double duration = scene == Scene::Packing ? 0.15 : scene == Scene::Bounce ? 0.1 : 0.01;
   return text + fmt::format(
                     "apply {{ max_steps: 0 }}\n"
                     "run {{ duration: {} damping: {} continuum_damping: {} }}\n"
