@@ -13,6 +13,10 @@ namespace {
 // at 1.01 of the limit.
 constexpr double unexplained_factor = 100;
 
+// Of all the energy that there can be, what may come from nowhere. Contacts that the steps follow make errors of a small part of
+// what moves.
+constexpr double from_nowhere = 0.5;
+
 // Of the strain energy that there is, the motion that counts: below it is round-off of what rests under load.
 constexpr double least_share = 1e-9;
 
@@ -75,13 +79,11 @@ std::string CoupledLedger::alarm() const {
         "in by gravity, pile and walls or came out of strain: the coupled run went unstable; lower "
         "fidelity.step_fraction",
         step_, grains_.kinetic, zones_.kinetic, explained);
-  // Contacts that the steps follow make errors of a small part of what moves.
   const double there = start_kinetic_ + put_in_ + strained_;
-  if (there > 0 && std::abs(residual_) > there)
+  if (there > 0 && std::abs(residual_) > from_nowhere * there)
     return fmt::format(
-        "step {}: {:.3g} J came from nowhere, more than the {:.3g} J that were there or were put in by gravity, pile "
-        "and "
-        "walls: contacts open and close faster than the steps follow, and the coupled run went unstable; lower "
+        "step {}: {:.3g} J came from nowhere, where {:.3g} J were there or were put in by gravity, pile and walls: "
+        "contacts open and close faster than the steps follow, and the coupled run went unstable; lower "
         "fidelity.step_fraction",
         step_, residual_, there);
   if (stop_at_ > 0 && std::abs(residual_fraction()) > stop_at_)

@@ -12,7 +12,7 @@
 // and motion that is far less than that still counts.
 //
 // Contacts that open bound what grows: then it rattles, and each contact that closes for one step or two makes energy or
-// loses it. That does not balance, and where it exceeds all the energy that there can be, the run is over too.
+// loses it. That does not balance, and where it comes to half of all the energy that there can be, the run is over too.
 #pragma once
 #include <cstdint>
 #include <string>
@@ -45,7 +45,7 @@ class CoupledLedger {
   // Both sides' at one and the same time.
   void book_energies(const Energies& grains, const Energies& zones);
 
-  // Why the run must end: the residual beyond stop_at or beyond all energy, or kinetic energy that work does not explain.
+  // Why the run must end: the residual beyond stop_at or half of all energy, or kinetic energy that work does not explain.
   // Empty: it may go on.
   std::string alarm() const;
 

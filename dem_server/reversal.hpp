@@ -33,9 +33,10 @@ class Reversal {
   static constexpr int reversal_looks = 4;
   static constexpr double alarming_reversal = 0.25;
   // Of the first look's sum m |a|^2, 75 steps before: below it what turns is dying out.
-  static constexpr double dying_share = 0.25;
-  // Of mean unbalanced over mean contact force: motion below it is no sign of anything.
-  static constexpr double least_unbalanced_ratio = 1e-6;
+  static constexpr double dying_share = 0.5;
+  // Of mean unbalanced over mean contact force: below it the grains are at rest, and a mode just below the limit takes thousands of
+  // steps to die out at that level. A packing that shivers has 0.01 to 1.
+  static constexpr double least_unbalanced_ratio = 1e-4;
 
  private:
   void add(double share, double strength);

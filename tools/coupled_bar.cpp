@@ -242,12 +242,15 @@ double CoupledBar::kinetic_of_spheres(const VectorXd& v) const {
   return 0.5 * v.tail(spheres()).dot(mass_.tail(spheres()).cwiseProduct(v.tail(spheres())));
 }
 
+double CoupledBar::start_energy() const {
+  return case_.has_weight ? load_.cwiseAbs().sum() * excursion * overlap_
+                          : kinetic_of_nodes(start_) + kinetic_of_spheres(start_);
+}
+
 CoupledBar::Growth CoupledBar::growth(double time_step, std::uint64_t exchanges) const {
   Motion motion(*this, time_step);
   const auto amplitude = [&] { return std::sqrt(kinetic_of_nodes(motion.v) + kinetic_of_spheres(motion.v)); };
-  // What the start has, or the weight gives within its first swing.
-  const double start =
-      std::max(amplitude(), case_.has_weight ? std::sqrt(load_.cwiseAbs().sum() * excursion * overlap_) : 0.0);
+  const double start = std::sqrt(start_energy());
   Growth g;
   double largest[4] = {};  // by quarters
   for (std::uint64_t n = 0; n < exchanges; ++n) {

@@ -56,6 +56,8 @@ class CoupledBar {
     std::uint64_t onset = 0;  // exchanges until it has a thousand times the energy of the start; 0: never
     double rate = 0;          // factor of amplitude per exchange, over the last half of what was looked at
   };
+  // Of the packet; of the weight, what it does over the way that the start may take [J].
+  double start_energy() const;
   Growth growth(double time_step, std::uint64_t exchanges) const;
   // Displacements and velocities after `exchanges`: q of nodes and spheres [m].
   struct State {
