@@ -6,13 +6,13 @@
 // opposite, where those of a motion that is followed are alike:
 //   share = - sum m a(n) . a(n-1) / sum m |a|^2,
 // in the mean (omega dt)^2 / 2 - 1 for a mode of omega: -1 for slow motion, 1 for modes at the limit and above. Packings and
-// piles within the limit show -0.99 to -0.67, packings at 1.1 to 1.5 of the bound 0.4 to 0.99 (the README's table).
+// piles within the limit show -0.99 to -0.67, packings at 1.1 to 1.5 of the bound mostly 0.4 to 0.99 (common/README.md has the table).
 //
 // A mode just below the limit turns too, but dies out: what counts as well is that the accelerations of the last look are not far
 // below those of the first one.
 //
 // It says nothing where nothing is damped: there a mode near the limit may live for ever and be followed, if badly; energies
-// tell of its growth (common/coupled_ledger.hpp). Nor at rest to round-off, where noise turns as it likes.
+// tell of its growth (common/coupled_ledger.hpp).
 #pragma once
 #include <cstdint>
 
@@ -34,9 +34,9 @@ class Reversal {
   static constexpr double alarming_reversal = 0.25;
   // Of the first look's sum m |a|^2, 75 steps before: below it what turns is dying out.
   static constexpr double dying_share = 0.5;
-  // Of mean unbalanced over mean contact force: below it the grains are at rest, and a mode just below the limit takes thousands of
-  // steps to die out at that level. A packing that shivers has 0.01 to 1.
-  static constexpr double least_unbalanced_ratio = 1e-4;
+  // Of mean unbalanced over mean contact force. Below it grains are at rest by any scene's measure, and local damping, whose sign
+  // is that of velocities about zero, turns what little is left as it likes; shivering packings have 5e-3 and more.
+  static constexpr double least_unbalanced_ratio = 1e-3;
 
  private:
   void add(double share, double strength);

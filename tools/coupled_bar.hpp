@@ -32,6 +32,7 @@ struct BarCase {
   int zones = 5;
   double damping = 0;  // local, of both sides
   std::uint32_t exchange_interval = 1;
+  double preload = 1e-5;    // overlap over radius
   bool has_weight = false;  // gravity starts it; else a packet of velocity does
 };
 

@@ -25,25 +25,34 @@ Point measured(const BarCase& c, double asked, bool is_of_exact) {
 }  // namespace
 
 TEST_CASE("both programs move a short bar as its assembled step does") {
-  // What the assembled step leaves out is the preload's geometric stiffness: a facet that tilts by u/h moves its contact by
-  // R u/h, which moves the preload k d between nodes: d R/h^2 of k u, 1e-6 with d = 1e-5 R. Modes add up phases: 1e-4 allowed.
+  // What the assembled step leaves out is the preload's geometric stiffness, which is in proportion to the overlap d: a facet
+  // that tilts by u / h moves its contact by R u / h, and with it the preload k d from node to node. So a tenth of the preload
+  // leaves a tenth of the difference; it adds up in phases, at 40 steps to some hundred times R d k / (h^2 E) of u.
   const Quiet quiet;
   for (const bool has_weight : {false, true})
     for (const std::uint32_t interval : {1U, 5U})
       for (const double contrast : {0.1, 10.0}) {
-        const double damping = interval > 1 ? 0.3 : 0.0;
-        const CoupledBar bar(
-            {.contrast = contrast, .damping = damping, .exchange_interval = interval, .has_weight = has_weight});
-        const double step = 0.9 * predicted_limit(bar);
-        constexpr std::uint64_t steps = 40;
-        const Ending e = run_to_end(bar.scene(0.9, (steps - 0.5) * step));
-        REQUIRE(!e.is_stopped);
-        const CoupledBar::State s = bar.state_after(step, e.reports.zones.steps);
-        const double own = s.q.head(bar.nodes()).cwiseAbs().maxCoeff();
+        double difference[2] = {};
+        for (const bool is_small : {false, true}) {
+          const CoupledBar bar({.contrast = contrast,
+                                .damping = interval > 1 ? 0.3 : 0.0,
+                                .exchange_interval = interval,
+                                .preload = is_small ? 1e-6 : 1e-5,
+                                .has_weight = has_weight});
+          const double step = 0.9 * predicted_limit(bar);
+          constexpr std::uint64_t steps = 40;
+          const Ending e = run_to_end(bar.scene(0.9, (steps - 0.5) * step));
+          REQUIRE(!e.is_stopped);
+          CHECK(e.reports.zones.steps + 1 >= steps);
+          const CoupledBar::State s = bar.state_after(step, e.reports.zones.steps);
+          const double own = s.q.head(bar.nodes()).cwiseAbs().maxCoeff();
+          difference[is_small] = std::abs(e.reports.zones.largest_displacement / own - 1);
+        }
         INFO("contrast " << contrast << ", interval " << interval << (has_weight ? ", weight" : ", packet")
-                         << ": off by " << e.reports.zones.largest_displacement / own - 1);
-        CHECK(e.reports.zones.steps + 1 >= steps);
-        CHECK(e.reports.zones.largest_displacement == Approx(own).epsilon(1e-4));
+                         << ": off by " << difference[0] << ", with a tenth of the preload " << difference[1]);
+        // Damping turns with the sign of velocities: those about zero fall either way, whatever the preload.
+        CHECK(difference[1] < (interval > 1 ? 1e-4 : 3e-5));
+        if (interval == 1) CHECK(difference[1] < 0.2 * difference[0] + 1e-6);
       }
 }
 
