@@ -7,7 +7,12 @@
 //
 // When a step is too large, the scheme's own energy balance closes all the same (its quadratic invariant is kept, stable or
 // not): the highest mode has a kinetic energy 1/2 m v(n-1/2) v(n+1/2) that falls below zero without end while the elastic
-// energy rises. So the sign that something is wrong is |kinetic energy| beyond what can have been put in.
+// energy rises. So the sign that something is wrong is |kinetic energy| beyond what can have been put in. Strain energy of the
+// start explains as much as has been seen to come out of it: what a preload holds and keeps may be a million times what moves,
+// and motion that is far less than that still counts.
+//
+// Contacts that open bound what grows: then it rattles, and each contact that closes for one step or two makes energy or
+// loses it. That does not balance, and where it comes to half of all the energy that there can be, the run is over too.
 #pragma once
 #include <cstdint>
 #include <string>
@@ -40,7 +45,8 @@ class CoupledLedger {
   // Both sides' at one and the same time.
   void book_energies(const Energies& grains, const Energies& zones);
 
-  // Why the run must end: the residual beyond stop_at, or kinetic energy that work does not explain. Empty: it may go on.
+  // Why the run must end: the residual beyond stop_at or half of all energy, or kinetic energy that work does not explain.
+  // Empty: it may go on.
   std::string alarm() const;
 
   bool has_energies() const { return has_energies_; }
@@ -69,7 +75,11 @@ class CoupledLedger {
   double start_ = 0;                               // balance of both at the first booking [J]
   double residual_ = 0, work_done_ = 0, gap_ = 0;  // [J]
   double worst_residual_ = 0;                      // |residual| over work done [-]
-  double explained_ = 0;  // energy at the start and what gravity and boundaries moved since [J]
+  // Of both sides, at the first booking [J]; the outer work is that of gravity and boundaries.
+  double start_kinetic_ = 0, start_elastic_ = 0, start_outer_ = 0;
+  double put_in_ = 0;  // the most that outer work was seen to have added since: what swings to and fro counts once [J]
+  double strained_ = 0;  // its moduli, added [J]
+  double released_ = 0;  // the most that it was seen to have fallen by [J]
 };
 
 }  // namespace lockstep

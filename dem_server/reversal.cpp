@@ -21,12 +21,14 @@ void Reversal::observe(std::uint64_t step, const Particles& p) {
       all += 0.5 * p.mass(b) * (change.squaredNorm() + change_[b].squaredNorm());
     }
     change_.clear();
-    add(all > 0 ? turned / all : -1.0);
+    add(all > 0 ? turned / all : -1.0, all);
   }
 }
 
-void Reversal::add(double share) {
-  last_[looks_ % reversal_looks] = share;
+void Reversal::add(double share, double strength) {
+  const int now = looks_ % reversal_looks, first = (looks_ + 1) % reversal_looks;
+  last_[now] = share, strength_[now] = strength;
+  is_dying_ = strength < dying_share * strength_[first];
   looks_ = looks_ + 1 < 2 * reversal_looks ? looks_ + 1 : reversal_looks;
   mean_ = 0;
   for (const double look : last_) mean_ += look / reversal_looks;

@@ -170,7 +170,8 @@ class GrainsRun {
     PackingState state;
   };
   std::vector<GoodState> good_states_;
-  double ratio_ = 1;  // unbalanced, latest known
+  double ratio_ = 1;            // unbalanced, latest known
+  std::uint64_t contacts_ = 0;  // that touch, likewise
   Reversal reversal_;
   Clock::time_point last_progress_{};
   Clock::time_point begin_ = Clock::now();
@@ -827,7 +828,10 @@ void GrainsRun::choose_detail(bool is_booked) {
 // After each step: alarms, histories, snapshots.
 void GrainsRun::record_step() {
   const Model& m = *model_;
-  if (m.detail == Detail::All) ratio_ = unbalanced_ratio(m);
+  if (m.detail == Detail::All) {
+    ratio_ = unbalanced_ratio(m);
+    contacts_ = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
+  }
   if (watches_shivering_ && m.damping > 0) watch_reversal();
   output_.record(m, s_over_d(), ratio_);
   if (m.step % heartbeat_interval == 0) {
@@ -974,7 +978,7 @@ RunReport GrainsRun::finish() {
   r.worst_action_reaction = m.ledger.worst_action_reaction();
   r.coupled = coupled_;
   r.unbalanced_ratio = ratio_;
-  r.contacts = static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
+  r.contacts = contacts_;
   r.kinetic_energy = m.ledger.energies().kinetic;
   r.start_energies = m.ledger.start();
   r.energies = m.ledger.energies();

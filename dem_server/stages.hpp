@@ -51,7 +51,7 @@ struct RunReport {
   double worst_action_reaction = 0;      // over the largest force sum [-]
   std::optional<CoupledLedger> coupled;  // of both sides together
   double unbalanced_ratio = 0;           // of the grains, the latest that was summed up [-]
-  std::uint64_t contacts = 0;            // of grains with grains and facets that touch, at the last step
+  std::uint64_t contacts = 0;            // of grains with grains and facets that touch, likewise
   double kinetic_energy = 0;             // of the grains [J]
   GrainEnergies start_energies;          // kinetic and elastic, at the first step
   GrainEnergies energies;                // at the last step whose energies were summed up

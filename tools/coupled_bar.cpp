@@ -23,7 +23,6 @@ constexpr double youngs_modulus = 44.3e6;  // [Pa]
 constexpr double facet_factor = 2;
 constexpr double middle_density = 1000;   // between spheres' and ground's, the mass ratio splits to both sides [kg/m3]
 constexpr double width_of_spheres = 0.9;  // of a column's share of the facet: neighbours do not touch
-constexpr double preload = 1e-5;          // overlap over radius
 constexpr double excursion = 0.05;        // of the overlap, the most that the start asks for
 constexpr double grown = 1e3;             // of energies
 constexpr double hopeless = 1e60;         // of amplitudes: no need to go on
@@ -32,7 +31,7 @@ constexpr double hopeless = 1e60;         // of amplitudes: no need to go on
 
 CoupledBar::CoupledBar(const BarCase& c) : case_(c) {
   radius_ = 0.5 * width_of_spheres * zone_size / c.columns;
-  overlap_ = preload * radius_;
+  overlap_ = c.preload * radius_;
   pair_stiffness_ = c.contrast * youngs_modulus * zone_size;
   facet_stiffness_ = facet_factor * pair_stiffness_;
   grain_density_ = middle_density * std::sqrt(c.mass_ratio);
@@ -242,12 +241,15 @@ double CoupledBar::kinetic_of_spheres(const VectorXd& v) const {
   return 0.5 * v.tail(spheres()).dot(mass_.tail(spheres()).cwiseProduct(v.tail(spheres())));
 }
 
+double CoupledBar::start_energy() const {
+  return case_.has_weight ? load_.cwiseAbs().sum() * excursion * overlap_
+                          : kinetic_of_nodes(start_) + kinetic_of_spheres(start_);
+}
+
 CoupledBar::Growth CoupledBar::growth(double time_step, std::uint64_t exchanges) const {
   Motion motion(*this, time_step);
   const auto amplitude = [&] { return std::sqrt(kinetic_of_nodes(motion.v) + kinetic_of_spheres(motion.v)); };
-  // What the start has, or the weight gives within its first swing.
-  const double start =
-      std::max(amplitude(), case_.has_weight ? std::sqrt(load_.cwiseAbs().sum() * excursion * overlap_) : 0.0);
+  const double start = std::sqrt(start_energy());
   Growth g;
   double largest[4] = {};  // by quarters
   for (std::uint64_t n = 0; n < exchanges; ++n) {

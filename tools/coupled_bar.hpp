@@ -32,6 +32,7 @@ struct BarCase {
   int zones = 5;
   double damping = 0;  // local, of both sides
   std::uint32_t exchange_interval = 1;
+  double preload = 1e-5;    // overlap over radius
   bool has_weight = false;  // gravity starts it; else a packet of velocity does
 };
 
@@ -56,6 +57,8 @@ class CoupledBar {
     std::uint64_t onset = 0;  // exchanges until it has a thousand times the energy of the start; 0: never
     double rate = 0;          // factor of amplitude per exchange, over the last half of what was looked at
   };
+  // Of the packet; of the weight, what it does over the way that the start may take [J].
+  double start_energy() const;
   Growth growth(double time_step, std::uint64_t exchanges) const;
   // Displacements and velocities after `exchanges`: q of nodes and spheres [m].
   struct State {

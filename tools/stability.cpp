@@ -252,7 +252,9 @@ int main(int argc, char** argv) {
       const Class c = p.verdict();
       if (c == Class::Missed || c == Class::WrongWithin) wrong += line_of(p);
       if (p.exact > 0) least = std::min(least, p.exact / p.predicted);
-      if (c == Class::Caught && p.onset > 0 && p.at_step > p.onset) latest = std::max(latest, p.at_step - p.onset);
+      // With several steps to an exchange the grains count theirs, the walk exchanges.
+      if (c == Class::Caught && p.exchange_interval == 1 && p.onset > 0 && p.at_step > p.onset)
+        latest = std::max(latest, p.at_step - p.onset);
     }
     std::string text = counts(points);
     if (least < 1e300) text += fmt::format("exact over predicted limit: at least {:.5f}\n", least);

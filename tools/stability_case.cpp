@@ -17,7 +17,8 @@ constexpr std::uint64_t walk = 3000;         // exchanges that the assembled ste
 constexpr std::uint64_t shortest_run = 300;  // exchanges
 constexpr double longest_run = 3;  // onsets: from a thousand times the start's energy to what preloads hold and beyond
 
-constexpr double restless = 0.02;  // unbalanced ratio
+constexpr double packing_fraction = 0.9;  // of the step that makes the packing
+constexpr double restless = 0.02;         // unbalanced ratio
 
 // The number in "step N: ...", wherever it stands in the words.
 std::uint64_t step_in(const std::string& words) {
@@ -96,7 +97,7 @@ void measure_bar(Point& p, const CoupledBar& bar, double predicted) {
   p.time_step = p.asked * (p.is_of_exact ? p.exact : p.predicted);
   const CoupledBar::Growth growth = bar.growth(p.time_step, walk);
   p.onset = growth.onset;
-  if (c.damping == 0 && c.exchange_interval == 1) {
+  if (!p.radius_is_of_walk()) {
     p.radius = bar.spectral_radius(p.time_step);
     p.truth = p.radius > 1 ? Truth::Unstable : Truth::Stable;
     p.evidence = "spectral radius";
@@ -110,6 +111,15 @@ void measure_bar(Point& p, const CoupledBar& bar, double predicted) {
       std::max(shortest_run, static_cast<std::uint64_t>(longest_run * static_cast<double>(p.onset)) + shortest_run);
   const Ending e = run_to_end(bar.scene(p.time_step / p.predicted, (static_cast<double>(p.steps) - 0.5) * p.time_step));
   p.is_stopped = e.is_stopped, p.at_step = e.at_step, p.words = e.words;
+  if (p.truth == Truth::Unstable && p.radius_is_of_walk() && !e.is_stopped) {
+    // Local damping is not linear: just above the limit the phases decide whether a mode grows, and they differ in the last digits.
+    const double moves = std::abs(e.reports.grains.energies.kinetic) + std::abs(e.reports.zones.ledger.kinetic);
+    if (moves < bar.start_energy()) {
+      p.truth = Truth::Stable;
+      p.evidence = fmt::format("the walk grows, the run itself ends with {:.1e} of the start's energy",
+                               moves / bar.start_energy());
+    }
+  }
   p.seconds = std::chrono::duration<double>(Clock::now() - begin).count();
 }
 
@@ -147,7 +157,7 @@ std::string scene_text(Scene scene, double damping, double step_fraction) {
         "}}\n"
         "}}\n",
         scene == Scene::Bounce ? 200 : 0, scene == Scene::Bounce ? 0.0 : 0.7, scene == Scene::Bounce ? 0 : 4);
-  const double duration = scene == Scene::Packing ? 0.03 : scene == Scene::Bounce ? 0.1 : 0.01;
+  const double duration = scene == Scene::Packing ? 0.15 : scene == Scene::Bounce ? 0.1 : 0.01;
   return text + fmt::format(
                     "apply {{ max_steps: 0 }}\n"
                     "run {{ duration: {} damping: {} continuum_damping: {} }}\n"
@@ -160,8 +170,11 @@ SceneFile scene_file(Scene scene, double damping, double step_fraction) {
   return parse_scene(scene_text(scene, damping, step_fraction), "scene of the stability map");
 }
 
+// Without what gravity gave.
 double energy_of(const Reports& r) {
-  return r.grains.energies.kinetic + r.grains.energies.elastic + r.zones.ledger.kinetic + r.zones.ledger.elastic;
+  const dem::GrainEnergies& grains = r.grains.energies;
+  const continuum::Ledger& zones = r.zones.ledger;
+  return grains.kinetic + grains.elastic - grains.gravity_work + zones.kinetic + zones.elastic - zones.work.gravity;
 }
 
 }  // namespace
@@ -169,8 +182,16 @@ double energy_of(const Reports& r) {
 void measure_scene(Point& p, Scene scene, const std::filesystem::path& packing) {
   const auto begin = Clock::now();
   dem::RunOptions options;
-  if (scene == Scene::Packing) options.packing = packing;
-  const Reports right = run_to_end(scene_file(scene, p.damping, 0.25 * p.asked), options).reports;
+  if (scene == Scene::Packing) {
+    options.packing = packing;
+    // Made once, by steps as they should be; those that are asked for count from Apply on.
+    if (!std::filesystem::exists(packing)) run_to_end(scene_file(scene, p.damping, packing_fraction), options);
+  }
+  const Ending quarter = run_to_end(scene_file(scene, p.damping, 0.25 * p.asked), options);
+  if (quarter.is_stopped)
+    throw NumericalError("a quarter of " + std::to_string(p.asked) +
+                         " of the limit does not run either: " + quarter.words);
+  const Reports& right = quarter.reports;
   p.predicted = right.zones.first_time_step / (0.25 * p.asked);
   p.time_step = p.asked * p.predicted;
   const Ending run = run_to_end(scene_file(scene, p.damping, p.asked), options);

@@ -2,7 +2,8 @@
 //
 // The truth does not come from the programs' alarms.
 //   Bars (tools/coupled_bar.hpp): the spectral radius of the assembled step without damping, else the assembled step itself,
-//     walked until growth or decay shows. Steps are short of what would show growth where it would take too long: TooSlow.
+//     walked until growth or decay shows; where it grows and the run does not stop, the run itself must end with less than it
+//     started with to be called stable. TooSlow: neither shows in the steps that are walked.
 //   Packing, grain and impact: the same scene at a quarter of the step is what is right. The run at the full step is repeated with
 //     its alarms off (no ledger, no watch on shivering) where they had ended it, and is unstable where
 //       - it breaks down: a speed, an overlap or a number that is none;
@@ -67,6 +68,7 @@ struct Point {
   double seconds = 0;
 
   Class verdict() const;
+  bool radius_is_of_walk() const { return damping > 0 || exchange_interval > 1; }
   bool is_within() const { return time_step <= predicted * (1 + 1e-12); }
 };
 

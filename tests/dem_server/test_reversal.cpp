@@ -59,6 +59,21 @@ TEST_CASE("A damped step above its limit is told within 100 steps, a damped one 
   }
 }
 
+TEST_CASE("A damped mode just below its limit turns, but dies out: no alarm") {
+  for (const double alpha : {0.1, 0.3, 0.7}) {
+    const double limit = 2 / std::sqrt(1 + alpha);
+    double share = -1;
+    bool is_alarming = false;
+    for (int steps = 100; steps <= 300; steps += 25) {
+      const Reversal below = seen(0.97 * limit, alpha, steps);
+      share = std::max(share, below.mean_share()), is_alarming |= below.is_alarming();
+    }
+    INFO("alpha " << alpha << ": largest share " << share);
+    CHECK(share > Reversal::alarming_reversal);
+    CHECK(!is_alarming);
+  }
+}
+
 TEST_CASE("Nothing is said of no grains, of grains at rest, or before there were enough looks") {
   Reversal reversal;
   for (std::uint64_t n = 1; n <= 200; ++n) reversal.observe(n, Particles());
