@@ -286,12 +286,14 @@ WallSettings wall_of(const SceneFile& file, int index) {
   }
   wall.velocity = to_vector(from.velocity());
   wall.spin = to_vector(from.spin());
+  wall.speed_ramp = from.speed_ramp();
   if (from.has_spin_center()) wall.center = to_vector(from.spin_center());
   if (from.has_friction()) wall.friction = from.friction();
   if (from.has_servo()) {
     const scene::WallServo& servo = from.servo();
-    wall.servo = WallServoSettings{servo.pressure(), servo.area(), servo.top_speed(), servo.closing(),
-                                   to_vector(servo.direction())};
+    wall.servo = WallServoSettings{
+        servo.pressure(),    servo.area(), servo.top_speed(), servo.closing(), to_vector(servo.direction()),
+        servo.balance_only()};
     check_servo(wall.shape, *wall.servo, where);
   }
   return wall;
@@ -302,7 +304,8 @@ WallSettings wall_of(const SceneFile& file, int index) {
 bool is_later_key(const std::string& key) {
   static const std::vector<std::string> keys = {"grains.interface_friction", "grains.wall_friction", "pile.friction",
                                                 "pile.penetration", "pile.speed_ramp"};
-  static const std::vector<std::string> of_walls = {".name", ".velocity", ".spin", ".spin_center", ".friction"};
+  static const std::vector<std::string> of_walls = {".name",        ".velocity", ".speed_ramp",        ".spin",
+                                                    ".spin_center", ".friction", ".servo.balance_only"};
   return std::find(keys.begin(), keys.end(), key) != keys.end() ||
          (key.starts_with("wall[") &&
           std::any_of(of_walls.begin(), of_walls.end(), [&](const std::string& end) { return key.ends_with(end); }));

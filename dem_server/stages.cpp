@@ -761,6 +761,7 @@ void GrainsRun::begin_apply() {
   Model& m = *model_;
   m.damping = settings_.has_apply ? settings_.apply_damping : settings_.run_damping;
   m.walls.set_moving(false, true);
+  m.walls.end_balance();
   set_friction(settings_.material.friction, 1);
   m.time = 0;
   m.step = 0;
