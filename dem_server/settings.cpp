@@ -435,7 +435,8 @@ Settings make_settings(const SceneFile& file) {
                balance.servo_tolerance(),
                balance.traction_tolerance(),
                balance.max_servo_travel(),
-               balance.max_cycles()};
+               balance.max_cycles(),
+               balance.has_friction() ? balance.friction() : grains.friction()};
   s.has_apply = scene.apply().max_steps() > 0;
   s.apply_damping = scene.apply().damping();
   s.run_damping = scene.run().damping();
