@@ -15,6 +15,8 @@ namespace lockstep::dem {
 
 namespace {
 
+constexpr double bound_share = 0.9;  // of the stable step, which is a bound itself
+
 // The servo: M over E*, steps that close the error, and the fastest strain in a step. Packings have an E of 0.3 to 0.6 E*;
 // a servo that is stiffer than its packing by a factor of fifty chatters.
 constexpr double modulus_share = 0.43;
@@ -43,11 +45,21 @@ PeriodicCell::PeriodicCell(Particles grains, const Vec3& period, const GrainMate
       contacts_(list_skin * particles_.mean_radius(), period),
       material_(material),
       team_(&team),
-      time_step_(quiet_step(particles_, material)) {}
+      time_step_(quiet_step(particles_, material)),
+      last_step_(time_step_) {}
+
+void PeriodicCell::renew_step(double damping) {
+  StiffnessSum stiffness;
+  stiffness.reset(particles_.body_count());
+  contacts_.for_each_branch(
+      particles_, [&](const ContactView& contact, const Vec3& branch) { stiffness.add(contact, particles_, branch); });
+  time_step_ = std::min(time_step_, bound_share * stiffness.stable_step(damping));
+}
 
 void PeriodicCell::step(const std::array<Axis, 3>& axes, double damping) {
   contacts_.update(particles_, *team_);
-  totals_ = contacts_.compute(particles_, material_, time_step_, Detail::All, *team_);
+  totals_ = contacts_.compute(particles_, material_, last_step_, Detail::All, *team_);
+  if (steps_ % limit_interval == 0) renew_step(damping);
   const double servo_stiffness = modulus_share * material_.contact_modulus * closing_steps * time_step_;  // [Pa s]
   const Vec3 pressure = -stress();
   for (int k = 0; k < 3; ++k) {
@@ -58,10 +70,11 @@ void PeriodicCell::step(const std::array<Axis, 3>& axes, double damping) {
   MotionOptions options;
   options.team = team_;
   options.partition = &contacts_.partition();
-  const MotionTotals motion = integrate(particles_, Vec3::Zero(), time_step_, time_step_, damping, options);
+  const MotionTotals motion = integrate(particles_, Vec3::Zero(), last_step_, time_step_, damping, options);
   unbalanced_ =
       dem::unbalanced_ratio(motion.unbalanced_force, particles_.body_count(), totals_.contact_force, totals_.active);
   contacts_.strain(particles_, rate_, time_step_);
+  last_step_ = time_step_;
   ++steps_;
 }
 

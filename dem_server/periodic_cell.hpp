@@ -43,7 +43,7 @@ class PeriodicCell {
   double porosity() const;
   double unbalanced_ratio() const { return unbalanced_; }  // mean unbalanced over mean contact force, last step
   double coordination() const;
-  double time_step() const { return time_step_; }  // [s]
+  double time_step() const { return time_step_; }  // of the next step; cut when contacts ask for it, never longer [s]
   std::int64_t steps() const { return steps_; }
 
  private:
@@ -51,7 +51,10 @@ class PeriodicCell {
   PairContacts contacts_;
   GrainMaterial material_;
   Team* team_;
-  double time_step_;
+  void renew_step(double damping);
+
+  double time_step_;      // of the next step [s]
+  double last_step_ = 0;  // that led to t_n [s]
   ContactTotals totals_;
   Vec3 rate_ = Vec3::Zero();
   double unbalanced_ = 0;
