@@ -134,7 +134,7 @@ CellState state_of(const PeriodicCell& cell, const Vec3& start) {
 CellTestResult run_cell_test(const Cube& cube, const GrainMaterial& material, const CellTest& test, Team& team,
                              const std::function<void(const CellState&)>& record) {
   PeriodicCell cell(cube.particles, cube.period, material, team);
-  cell.set_friction(test.preparation_friction.value_or(cube.preparation_friction));
+  cell.set_friction(test.preparation_friction.value_or(std::min(cube.preparation_friction, material.friction)));
   press(cell, test);
   cell.set_friction(material.friction);
 

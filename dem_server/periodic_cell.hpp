@@ -64,7 +64,7 @@ class PeriodicCell {
 // A drained triaxial test in a cell: pressed on all sides, then shortened along z while x and y hold the pressure.
 struct CellTest {
   double pressure = 100e3;                     // confining [Pa]
-  std::optional<double> preparation_friction;  // while pressed; none: the cube's own [-]
+  std::optional<double> preparation_friction;  // while pressed; none: the cube's own, at most the material's [-]
   double inertial_number = 5e-4;  // of the shortening: rate 2 R sqrt(rho / p); above 1e-3 inertia shows in the strength
   double axial_strain = 0.15;     // at the end, logarithmic, compression positive
   double preparation_damping = 0.7;      // local damping

@@ -4,7 +4,7 @@
 //   build/release/bin/triaxial_cell scenarios/triaxial --pressure 100e3 --strain 0.001 --out cell.csv
 //
 // The packing is the scene's; --contact-modulus, --stiffness-ratio and --friction are the test's own, so that one packing may
-// be tested with many of them (tools/calibrate does).
+// be tested with many of them (tools/calibrate does). One JSON object on standard output says what was tested.
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
@@ -57,9 +57,18 @@ void run(Options& o) {
     history.add({s.axial_strain, s.radial_strain, s.volume_strain, s.axial_stress, s.radial_stress, s.porosity,
                  s.coordination, s.unbalanced_ratio});
   });
-  std::printf("%zu grains of %.4g m, porosity %.4f and coordination %.3f at %.4g Pa; %lld steps\n",
-              cube.particles.body_count(), cube.particles.mean_radius(), result.pressed.porosity,
-              result.pressed.coordination, o.test.pressure, static_cast<long long>(result.steps));
+  std::printf("%s\n", Json()
+                          .add("grains", static_cast<std::int64_t>(cube.particles.body_count()))
+                          .add("radius_m", cube.particles.mean_radius())
+                          .add("contact_modulus_pa", material.contact_modulus)
+                          .add("stiffness_ratio", material.stiffness_ratio)
+                          .add("friction", material.friction)
+                          .add("pressure_pa", o.test.pressure)
+                          .add("porosity", result.pressed.porosity)
+                          .add("coordination", result.pressed.coordination)
+                          .add("steps", result.steps)
+                          .text()
+                          .c_str());
 }
 
 }  // namespace
@@ -81,7 +90,7 @@ int main(int argc, char** argv) {
       ->capture_default_str()
       ->check(CLI::Range(0.0, 0.95));
   app.add_option("--preparation-friction", o.test.preparation_friction,
-                 "while it is pressed; left out: that it was packed with")
+                 "while it is pressed; left out: that it was packed with, at most that of the test")
       ->check(CLI::Range(0.0, 1e3));
   app.add_option("--contact-modulus", o.contact_modulus, "E* of the test; left out: the scene's [Pa]")
       ->check(CLI::Range(1.0, 1e13));

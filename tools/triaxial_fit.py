@@ -3,6 +3,7 @@
 Strains are logarithmic, strains and stresses positive in compression; SI."""
 
 import csv
+import json
 import math
 import os
 import subprocess
@@ -131,7 +132,7 @@ def mohr_coulomb(axial, radial):
 
 
 def run_cell(scene, out, pressure, strain, overrides=(), options=()):
-    """A test in the periodic cell; its curve."""
+    """A test in the periodic cell: its curve, and what was tested (radius_m, contact_modulus_pa, ...)."""
     if not os.path.isfile(CELL):
         raise Failure(2, f"{CELL}: not there; build first with tools/setup")
     command = [CELL, scene, "--out", out, "--pressure", repr(pressure), "--strain", repr(strain)]
@@ -140,4 +141,4 @@ def run_cell(scene, out, pressure, strain, overrides=(), options=()):
     done = subprocess.run(command + [str(o) for o in options], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise Failure(done.returncode if done.returncode > 0 else 5, (done.stderr or done.stdout).strip())
-    return curve_of_cell(out)
+    return curve_of_cell(out), json.loads(done.stdout)
