@@ -294,7 +294,6 @@ WallSettings wall_of(const SceneFile& file, int index) {
     wall.servo = WallServoSettings{
         servo.pressure(),    servo.area(), servo.top_speed(), servo.closing(), to_vector(servo.direction()),
         servo.balance_only()};
-    check_servo(wall.shape, *wall.servo, where);
   }
   return wall;
 }
@@ -390,6 +389,8 @@ Settings make_settings(const SceneFile& file) {
   s.pebbles = static_cast<int>(pebbles ? pebbles : grains.pebbles());
 
   for (int i = 0; i < scene.wall_size(); ++i) s.walls.push_back(wall_of(file, i));
+  for (std::size_t i = 0; i < s.walls.size(); ++i)
+    if (s.walls[i].servo) check_servo(s.walls, i, file.where(fmt::format("wall[{}]", i)) + ".");
   for (const scene::Plane& p : scene.plane()) {
     const Vec3 normal = to_vector(p.normal());
     if (normal.norm() == 0)

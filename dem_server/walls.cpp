@@ -195,6 +195,23 @@ void grow(FrustumShape& s, double way) {
   s.begin_radius += change, s.end_radius += change;
 }
 
+// Axis, of any length, and radius of a cylinder with the grains inside.
+struct InnerCylinder {
+  Vec3 axis;
+  double radius;  // [m]
+};
+std::optional<InnerCylinder> inner_cylinder(const WallShape& shape) {
+  if (const auto* s = std::get_if<CylinderShape>(&shape); s && s->side == Side::Inside)
+    return InnerCylinder{s->axis, s->radius};
+  if (const auto* s = std::get_if<FrustumShape>(&shape); s && s->side == Side::Inside && s->is_cylinder())
+    return InnerCylinder{s->axis, s->begin_radius};
+  return {};
+}
+
+bool lies_across(const Vec3& normal, const Vec3& axis) {
+  return normal.cross(axis).norm() <= across * normal.norm() * axis.norm();
+}
+
 template <class... Visitors>
 struct Overloaded : Visitors... {
   using Visitors::operator()...;
@@ -204,9 +221,11 @@ Overloaded(Visitors...) -> Overloaded<Visitors...>;
 
 }  // namespace
 
-void check_servo(const WallShape& shape, WallServoSettings& servo, const std::string& where) {
-  const bool has_direction =
-      std::holds_alternative<PlaneShape>(shape) || std::visit([](const auto& s) { return has_servo_radius(s); }, shape);
+void check_servo(std::vector<WallSettings>& walls, std::size_t index, const std::string& where) {
+  const WallShape& shape = walls[index].shape;
+  WallServoSettings& servo = *walls[index].servo;
+  const auto* plane = std::get_if<PlaneShape>(&shape);
+  const bool has_direction = plane || std::visit([](const auto& s) { return has_servo_radius(s); }, shape);
   if (!has_direction) {
     if (!(servo.direction.norm() > 0))
       throw InputError(
@@ -216,11 +235,15 @@ void check_servo(const WallShape& shape, WallServoSettings& servo, const std::st
     servo.direction.normalize();
   }
   const auto* frustum = std::get_if<FrustumShape>(&shape);
-  const bool has_area = frustum && frustum->is_cylinder();
+  const bool has_area = (frustum && frustum->is_cylinder()) ||
+                        (plane && std::any_of(walls.begin(), walls.end(), [&](const WallSettings& other) {
+                           const auto inner = inner_cylinder(other.shape);
+                           return inner && lies_across(plane->normal, inner->axis);
+                         }));
   if (!(servo.area > 0) && !has_area)
     throw InputError(
-        fmt::format("{}servo.area = {} m2 must be positive: only a cylinder with a length has an area of its own; give "
-                    "the area that the pressure acts on",
+        fmt::format("{}servo.area = {} m2 must be positive: only a cylinder with a length, and a plane across a "
+                    "cylinder, have an area of their own; give the area that the pressure acts on",
                     where, servo.area));
   if (!(servo.pressure >= 0))
     throw InputError(fmt::format("{}servo.pressure = {} Pa is out of range; walls press, so it must not be negative",
@@ -246,13 +269,15 @@ Walls::Walls(const std::vector<PlaneSettings>& planes, double friction)
           friction) {}
 
 Walls::Walls(std::vector<WallSettings> walls, double friction) : common_friction_(friction) {
+  for (std::size_t k = 0; k < walls.size(); ++k)
+    if (walls[k].servo)
+      check_servo(walls, k, (walls[k].name.empty() ? fmt::format("wall {}", k + 1) : walls[k].name) + ": ");
   for (WallSettings& from : walls) {
     Wall wall;
     wall.name = from.name.empty() ? fmt::format("wall {}", walls_.size() + 1) : from.name;
     const std::string where = wall.name + ": ";
     std::visit([&](auto& shape) { check(shape, where); }, from.shape);
     wall.servo = from.servo;
-    if (wall.servo) check_servo(from.shape, *wall.servo, where);
     wall.friction = from.friction.value_or(friction);
     wall.state.center =
         from.center ? *from.center : std::visit([](const auto& shape) { return own_point(shape); }, from.shape);
@@ -539,7 +564,7 @@ double Walls::length_between_planes(const Wall& wall, const FrustumShape& tube) 
     const auto* plane = std::get_if<PlaneShape>(&other.shape);
     if (!plane) continue;
     const Vec3 normal = other.state.attitude * plane->normal;
-    if (normal.cross(axis).norm() > across) continue;
+    if (!lies_across(normal, axis)) continue;
     const double at = (other.state.center + other.state.attitude * plane->point - begin).dot(axis);
     if (normal.dot(axis) > 0)
       low = std::max(low, at);
@@ -566,7 +591,13 @@ double Walls::area(std::size_t k) const {
   }
   if (const auto* cylinder = std::get_if<CylinderShape>(&wall.shape))
     return given * cylinder->radius / std::get<CylinderShape>(wall.start).radius;
-  return given;
+  const auto* plane = std::get_if<PlaneShape>(&wall.shape);
+  if (given > 0 || !plane) return given;
+  for (const Wall& other : walls_)
+    if (const auto inner = inner_cylinder(other.shape);
+        inner && lies_across(wall.state.attitude * plane->normal, other.state.attitude * inner->axis))
+      return pi * inner->radius * inner->radius;
+  return 0;
 }
 
 double Walls::pressure(std::size_t k) const { return area(k) > 0 ? totals_[k].pressing / area(k) : 0.0; }

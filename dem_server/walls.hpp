@@ -92,7 +92,7 @@ struct WallTotals {
 
 struct WallServoSettings {
   double pressure = 0;            // to hold [Pa]
-  double area = 0;                // that it counts for; 0: the shape's own, which only a finite cylinder has [m2]
+  double area = 0;                // that it counts for; 0: the shape's own, see Walls::area [m2]
   double top_speed = 0.05;        // [m/s]; too fast a wall hits its grains, too slow a one takes long
   double closing = 0.2;           // c, share of the error that one step closes; above 1 it chatters
   Vec3 direction = Vec3::Zero();  // of cones and meshes, towards the grains
@@ -106,9 +106,6 @@ struct MeshShape {
 
 using WallShape = std::variant<PlaneShape, CylinderShape, FrustumShape, MeshShape>;
 
-// InputError, in words that begin with `where`, for a servo without what its shape needs. The direction is made unit.
-void check_servo(const WallShape& shape, WallServoSettings& servo, const std::string& where);
-
 struct WallSettings {
   std::string name;  // in messages and results; empty: "wall K"
   WallShape shape;
@@ -119,6 +116,10 @@ struct WallSettings {
   std::optional<double> friction;  // else the one that Walls is given
   std::optional<WallServoSettings> servo;
 };
+
+// InputError, in words that begin with `where`, for a servo of walls[index] without what its shape needs. The direction is made
+// unit.
+void check_servo(std::vector<WallSettings>& walls, std::size_t index, const std::string& where);
 
 // A plane that may slide and move, and no more.
 struct PlaneSettings {
@@ -182,8 +183,8 @@ class Walls {
   // Per wall, of the last compute().
   const std::vector<WallTotals>& totals() const { return totals_; }
   bool has_servo(std::size_t wall) const { return walls_[wall].servo.has_value(); }
-  // That the servo counts for. Of a tube without a given area: its side, of which planes across the axis cut off what lies
-  // behind them [m2].
+  // That the servo counts for [m2]. Where none is given: of a tube its side, of which planes across the axis cut off what
+  // lies behind them; of a plane the cross-section of the cylinder that it lies across.
   double area(std::size_t wall) const;
   std::optional<double> radius(std::size_t wall) const;  // of cylinders, t_n [m]
   double pressure(std::size_t wall) const;               // on its servo's area, of the last compute() [Pa]

@@ -203,7 +203,7 @@ TEST_CASE("A mantle's pressure counts between the platens, a platen presses firs
   WallSettings drum = wall(FrustumShape{Vec3::Zero(), axis, 0.2, 0.2, 0.5, Side::Inside});
   drum.servo = WallServoSettings{1e6, 0, 0.2, 0.2, Vec3::Zero()};
   WallSettings top = wall(PlaneShape{0.35 * axis, -axis});
-  top.servo = WallServoSettings{1e6, 0.1, 0.2, 0.2, Vec3::Zero(), true};
+  top.servo = WallServoSettings{1e6, 0, 0.2, 0.2, Vec3::Zero(), true};
   top.velocity = -0.5 * axis;
   top.speed_ramp = 0.01;
   Walls walls(std::vector<WallSettings>{drum, wall(PlaneShape{0.05 * axis, axis}), top,
@@ -219,6 +219,7 @@ TEST_CASE("A mantle's pressure counts between the platens, a platen presses firs
   const double way = 100 * dt * 0.2;
   CHECK(*walls.radius(0) == Approx(0.2 - way).epsilon(1e-12));
   CHECK(walls.area(0) == Approx(2 * pi * (0.2 - way) * (0.3 - way)).epsilon(1e-12));
+  CHECK(walls.area(2) == Approx(pi * (0.2 - way) * (0.2 - way)).epsilon(1e-12));
   CHECK(walls.worst_servo_error() == Approx(1));
   // Driven: the ramp of 100 steps has speeds k/100 of the full one, k = 1, 2, ...; the servo's way stays.
   walls.end_balance();
