@@ -154,6 +154,27 @@ TEST_CASE("A packing in a cell holds its pressures and reads the same E at an ei
   CHECK(std::abs(difference) < 1e-9);
 }
 
+TEST_CASE("Spheres at rest in a cell that shrinks are found when they touch, images too") {
+  // Three spheres of radius R in a row, 2.2 R apart in a cell of 6.6 R, the last as far from the first one's image. All touch
+  // once the cell has shrunk to 6 R in x, at a strain of ln(6/6.6). No sphere moves in the cell: only its strain tells
+  // the lists, whose skin is 0.01 R, that pairs come near.
+  constexpr double radius = 0.05, rate = -1, dt = 1e-3;
+  Particles grains;
+  for (const double x : {1.0, 3.0, 5.0})
+    grains.add(make_clump(1, 1), radius, 2650, {x * 1.1 * radius, radius, radius}, Quat::Identity());
+  PairContacts contacts(0.01 * radius, Vec3(6.6, 20, 20) * radius);
+  const int touching = static_cast<int>(std::ceil(std::log(6 / 6.6) / std::log1p(rate * dt)));  // steps
+  for (int n = 1; n <= touching + 3; ++n) {
+    contacts.strain(grains, Vec3(rate, 0, 0), dt);
+    contacts.update(grains);
+    int found = 0;
+    contacts.for_each_contact(grains, [&](const ContactView&) { ++found; });
+    INFO("step " << n << " of " << touching << ", period over R " << contacts.period()->x() / radius);
+    REQUIRE(found == (n >= touching ? 3 : 0));
+  }
+  CHECK(contacts.refreshes() > 3);
+}
+
 TEST_CASE("A cell that strains far keeps its contacts, in the same bits for any number of threads") {
   // Shortened by a fifth, pairs part and meet: what the lists know must be what a fresh search finds, energies and all.
   CubeRequest request = small_request(0.028);
