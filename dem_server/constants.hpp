@@ -82,6 +82,9 @@ inline constexpr double hopeless_ratio = 0.05;
 // Inner list's skin over the mean radius, to begin with: nine of ten entries touch.
 inline constexpr double list_skin = 0.03;
 
+// Of sqrt(m/k_n) of the smallest grain: a step for packings in the making; 0.6 is the last quiet one.
+inline constexpr double quiet_share = 0.3;
+
 // Steps between renewals of the grains' stable step: contacts come and go slowly beside a step, and the limit has its
 // margin.
 inline constexpr std::uint32_t limit_interval = 100;

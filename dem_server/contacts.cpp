@@ -130,9 +130,41 @@ void PairContacts::adapt_skin() {
   if (age_ > long_list_age) skin_ = std::max(skin_ / skin_step, first_skin_ / skin_range);
 }
 
+double PairContacts::used_up(const Particles& particles) const {
+  return particles.growth() - growth_ + (strained_ - strain_mark_) * half_reach_;
+}
+
+double PairContacts::outer_used_up(const Particles& particles) const {
+  return particles.growth() - outer_growth_ + (strained_ - outer_strain_) * half_reach_;
+}
+
+void PairContacts::strain(Particles& particles, const Vec3& rate, double time_step) {
+  LOCKSTEP_ASSERT(period_, "only a periodic cell strains");
+  strain_rate_ = rate;
+  const Vec3 stretch = Vec3::Ones() + rate * time_step;
+  *period_ = period_->cwiseProduct(stretch);
+  strained_ += (rate * time_step).cwiseAbs().maxCoeff();
+  for (std::size_t b = 0; b < particles.body_count(); ++b) {
+    const Vec3 way = (rate * time_step).cwiseProduct(std::as_const(particles).position(b));
+    particles.position(b) += way;
+    if (!particles.has_clumps()) continue;
+    for (std::int32_t p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p) {
+      SphereRecord& pebble = particles.pebbles()[p];
+      pebble.x += way.x(), pebble.y += way.y(), pebble.z += way.z();
+    }
+  }
+  for (std::vector<SphereRecord>* marks : {&marks_, &outer_marks_})
+    for (SphereRecord& mark : *marks) mark.x *= stretch.x(), mark.y *= stretch.y(), mark.z *= stretch.z();
+  for (std::vector<Chunk>* group : {&chunks_, &borders_})
+    for (Chunk& chunk : *group)
+      for (ShiftTile& shift : chunk.shifts)
+        for (int l = 0; l < tile_size; ++l)
+          shift.x[l] *= stretch.x(), shift.y[l] *= stretch.y(), shift.z[l] *= stretch.z();
+}
+
 // Whether any pebble has gone beyond its limit, or to no finite place.
 bool PairContacts::has_left(const Particles& particles, Team& team) const {
-  const double growth = particles.growth() - growth_;
+  const double growth = used_up(particles);
   if (growth > growth_share * skin_) return true;
   std::atomic<bool> any = false;
   team.run([&](int thread) {
@@ -152,7 +184,7 @@ bool PairContacts::has_left(const Particles& particles, Team& team) const {
 // The inner list takes every pair with a gap below the skin, and all partners of fast pebbles: none of them may be
 // missing from the outer list.
 bool PairContacts::is_outer_used_up(const Particles& particles) const {
-  const double limit = 0.5 * (outer_reach_ - skin_) - (particles.growth() - outer_growth_);
+  const double limit = 0.5 * (outer_reach_ - skin_) - outer_used_up(particles);
   if (limit <= 0) return true;
   const SphereRecord* pebbles = particles.pebbles();
   for (std::size_t p = 0; p < outer_marks_.size(); ++p)
@@ -182,6 +214,10 @@ void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
   });
   outer_marks_.assign(particles.pebbles(), particles.pebbles() + particles.pebble_count());
   outer_growth_ = particles.growth();
+  outer_strain_ = strained_;
+  double largest = 0;
+  for (std::size_t p = 0; p < particles.pebble_count(); ++p) largest = std::max(largest, particles.pebbles()[p].radius);
+  half_reach_ = largest + 0.5 * outer_reach_;
   has_lists_ = true;
   ++rebuilds_;
 }
@@ -190,8 +226,8 @@ void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
 void PairContacts::refresh_inner(const Particles& particles, double ended_skin, Team& team) {
   const std::size_t pebbles = particles.pebble_count();
   const SphereRecord* record = particles.pebbles();
-  const double calm = 0.5 * ended_skin - (particles.growth() - growth_);
-  const double outer_growth = particles.growth() - outer_growth_;
+  const double calm = 0.5 * ended_skin - used_up(particles);
+  const double outer_growth = outer_used_up(particles);
   const bool has_marks = marks_.size() == pebbles;
   marks_.resize(pebbles);
   is_fast_.resize(pebbles);
@@ -202,6 +238,7 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
     marks_[p].radius = is_fast_[p] ? 0.5 * outer_reach_ - outer_travel : 0.5 * skin_;
   }
   growth_ = particles.growth();
+  strain_mark_ = strained_;
 
   chunks_.resize(chunk_count(particles));
   sums_.resize(chunks_.size());
@@ -302,8 +339,14 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
   const PairKernel free_kernel = kernel_of(instructions_, traits);
   traits.is_bounded = true;
   const PairKernel bounded_kernel = kernel_of(instructions_, traits);
-  const PairLaw law = {material.contact_modulus, 1 / material.stiffness_ratio, material.friction,
-                       material.damping_ratio, time_step};
+  const PairLaw law = {material.contact_modulus,
+                       1 / material.stiffness_ratio,
+                       material.friction,
+                       material.damping_ratio,
+                       time_step,
+                       strain_rate_.x(),
+                       strain_rate_.y(),
+                       strain_rate_.z()};
   const auto stretch = [](Chunk& chunk, std::size_t begin, std::size_t end) {
     return PairStretch{chunk.pairs.data() + begin, chunk.bodies.data() + (chunk.bodies.empty() ? 0 : begin),
                        chunk.shifts.data() + (chunk.shifts.empty() ? 0 : begin), chunk.springs.data() + begin,
@@ -337,6 +380,7 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
     totals.contact_force += sums.contact_force;
     totals.normal_energy += sums.normal_energy;
     totals.shear_energy += sums.shear_energy;
+    totals.virial += Vec3(sums.virial_x, sums.virial_y, sums.virial_z);
     totals.largest_overlap_ratio = std::max(totals.largest_overlap_ratio, sums.largest_overlap_ratio);
   }
   totals.active = static_cast<std::int64_t>(active);
@@ -367,7 +411,7 @@ PairContacts::Entry PairContacts::entry_of(const Particles& particles, const Chu
   if (material_.damping_ratio > 0) {
     const Vec3 lever_b = c.point - position_a - entry.branch;
     const Vec3 approach = particles.velocity(c.body_b) + particles.spin(c.body_b).cross(lever_b) -
-                          particles.velocity_at(c.body_a, c.point);
+                          particles.velocity_at(c.body_a, c.point) + strain_rate_.cwiseProduct(entry.branch);
     const double dashpot =
         pair_dashpot(material_.damping_ratio, c.normal_stiffness, particles.mass(c.body_a), particles.mass(c.body_b));
     normal_force = std::max(0.0, normal_force - dashpot * approach.dot(c.normal));

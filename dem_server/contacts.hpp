@@ -25,6 +25,8 @@
 // structure-of-arrays (no faster for pairs).
 //
 // Periodic cell: pairs carry the shift between their images; bodies are never moved back into the cell.
+// A cell that strains carries the bodies and the marks along: travel is measured relative to it, and what the strain takes
+// from the gaps counts as growth of the pebbles.
 #pragma once
 #include <cstdint>
 #include <optional>
@@ -51,6 +53,7 @@ struct ContactTotals {
   double normal_energy = 0;          // elastic, in normal springs, at t_n [J]
   double shear_energy = 0;           // elastic, in shear springs, at t_n [J]
   double largest_overlap_ratio = 0;  // overlap over the smaller equivalent radius [-]
+  Vec3 virial = Vec3::Zero();        // sum of force on A times branch to B, by component; periodic cells only [J]
   double elastic_energy() const { return normal_energy + shear_energy; }
 };
 
@@ -67,6 +70,11 @@ class PairContacts {
   // Contact forces at t_n, added to the loads of `particles`. `time_step` is the step that led to t_n [s].
   ContactTotals compute(Particles& particles, const GrainMaterial& material, double time_step,
                         Detail detail = Detail::All, Team& team = Team::alone());
+
+  // The cell of a periodic crowd strains at `rate` along x, y, z for `time_step`, and the bodies, whose velocities are those
+  // relative to the cell, are carried along. Call it once a step, after integrate(); the next compute() knows the rate.
+  void strain(Particles& particles, const Vec3& rate, double time_step);
+  const std::optional<Vec3>& period() const { return period_; }  // [m]
 
   // How far pebbles may go before the next renewal, and which thread owns which bodies until then.
   TravelLimits limits() const;
@@ -126,6 +134,8 @@ class PairContacts {
   };
   class Writer;
 
+  double used_up(const Particles& particles) const;  // of each pebble's limit by growth and strain, inner list [m]
+  double outer_used_up(const Particles& particles) const;  // [m]
   bool has_left(const Particles& particles, Team& team) const;
   bool is_outer_used_up(const Particles& particles) const;
   void adapt_skin();
@@ -151,10 +161,14 @@ class PairContacts {
 
   NeighborSearch search_;
   std::vector<OuterChunk> outer_;
-  LargeArray<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made
-  LargeArray<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
-  std::vector<char> is_fast_;             // per pebble, at the last renewal
-  double outer_growth_ = 0, growth_ = 0;  // Particles::growth() then [m]
+  LargeArray<SphereRecord> outer_marks_;       // per pebble: centre when the outer list was made
+  LargeArray<SphereRecord> marks_;             // per pebble: centre at the last renewal, and its limit
+  std::vector<char> is_fast_;                  // per pebble, at the last renewal
+  double outer_growth_ = 0, growth_ = 0;       // Particles::growth() then [m]
+  double outer_strain_ = 0, strain_mark_ = 0;  // strained_ then
+  Vec3 strain_rate_ = Vec3::Zero();            // in the step that led to t_n [1/s]
+  double strained_ = 0;                        // sum of the cell's largest strain increments, whatever their sign
+  double half_reach_ = 0;                      // half the largest distance of a pair in the outer list [m]
 
   std::vector<Chunk> chunks_;
   std::vector<PairSums> sums_;             // per chunk

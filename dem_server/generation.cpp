@@ -12,6 +12,7 @@
 #include "dem_server/contacts.hpp"
 #include "dem_server/integrator.hpp"
 #include "dem_server/measure.hpp"
+#include "dem_server/timestep.hpp"
 
 namespace lockstep::dem {
 
@@ -41,7 +42,6 @@ constexpr int tries_per_draw = 4;             // frictions for one random arrang
 constexpr int most_draws = 6;                 // and arrangements of one seed
 constexpr std::uint64_t draw_stride = 0xd1342543de82ef95ull;  // odd and without pattern: no seed's draws meet another's
 
-constexpr double step_share = 0.3;         // of sqrt(m/k_n) of the smallest grain; 0.6 is the last quiet one
 constexpr double packing_damping = 0.7;    // local damping
 constexpr double inserted_size = 0.5;      // of the size at the looked-for porosity: a tenth of the cell is solid
 constexpr int insertion_steps = 300;       // push overlaps apart
@@ -109,8 +109,7 @@ class PackingCell {
   void grow(double relative) { particles.scale_all(1 + relative); }
 
   void cycle(int count, double drag) {
-    const double smallest = particles.smallest_radius();
-    const double dt = step_share * std::sqrt(particles.lightest() / material_.normal_stiffness(smallest, smallest));
+    const double dt = quiet_step(particles, material_);
     for (int k = 0; k < count; ++k, ++steps) {
       const Detail detail = k + 1 == count ? Detail::All : Detail::Forces;  // the last step's sums are looked at
       contacts_.update(particles, *team_);

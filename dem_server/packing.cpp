@@ -122,17 +122,7 @@ Assembly assemble_packing(const Settings& s, double ground_density, const Heartb
   // First guess of the radius for a count; cut_to_count mends it.
   const double radius =
       packing.count ? std::cbrt(room * (1 - packing.porosity) / (packing.count * 4.0 / 3.0 * pi)) : packing.radius;
-  CubeRequest request;
-  request.grains = static_cast<int>(packing.cube_grains);
-  request.radius_mean = radius;
-  request.radius_ratio = packing.radius_ratio;
-  request.pebbles = s.pebbles;
-  request.elongation = s.elongation;
-  request.porosity = packing.porosity;
-  request.pressure = packing.cube_pressure;
-  request.density = s.density;
-  request.material = s.material;
-  request.seed = s.seed;
+  CubeRequest request = cube_request(s, radius);
   request.threads = worthwhile_threads(packing.cube_grains, threads);
   request.progress = heartbeat;
   const auto begin = Clock::now();
@@ -191,6 +181,22 @@ void add_lattice(const LatticeSettings& l, const Settings& s, Assembly& a) {
 }
 
 }  // namespace
+
+CubeRequest cube_request(const Settings& s, double radius) {
+  const PackingSettings& packing = *s.packing;
+  CubeRequest request;
+  request.grains = static_cast<int>(packing.cube_grains);
+  request.radius_mean = radius;
+  request.radius_ratio = packing.radius_ratio;
+  request.pebbles = s.pebbles;
+  request.elongation = s.elongation;
+  request.porosity = packing.porosity;
+  request.pressure = packing.cube_pressure;
+  request.density = s.density;
+  request.material = s.material;
+  request.seed = s.seed;
+  return request;
+}
 
 int worthwhile_threads(std::size_t grains, int threads) {
   constexpr std::size_t grains_per_thread =

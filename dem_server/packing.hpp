@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "dem_server/generation.hpp"
 #include "dem_server/particles.hpp"
 #include "dem_server/settings.hpp"
 
@@ -28,6 +29,9 @@ struct Assembly {
 // Threads that pay for so many grains, at most `threads`: a thread with less to do waits for the others longer than it
 // works, and on a busy machine loses its core each time.
 int worthwhile_threads(std::size_t grains, int threads);
+
+// Of the scene's packing, with a mean radius [m]; threads and progress are left to the caller.
+CubeRequest cube_request(const Settings& settings, double radius);
 
 using Heartbeat = std::function<void(std::string_view text, double fraction)>;
 

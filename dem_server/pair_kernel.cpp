@@ -14,6 +14,7 @@ constexpr double least_square = 1e-300;    // [m2], [N2], [N/m]: keeps 0/0 out
 
 struct Sums {
   Sum8 slip_work, dashpot_work, active, normal_force, contact_force, normal_energy, shear_energy, overlap_ratio;
+  Sum8 virial_x, virial_y, virial_z;
 };
 
 // Takes sign bits of the first three: x_j - x_i, and R_i + R_j beside it, are one addition of records.
@@ -61,6 +62,9 @@ LOCKSTEP_INLINE Geometry geometry(const PairState& state, const PairStretch& str
   return {normal, inverse, gap.w - distance, gap.w, touches};
 }
 
+// Bodies of a periodic cell that strains at rate L (diagonal) have their own velocities beside the cell's: those of A and of
+// B's image differ by L times the branch between their centres as well.
+//
 // For each entry: distance, and if the pebbles overlap
 //   contact point   x_i + (r_i - U/2) n, the middle of the overlap, the same for both bodies
 //   V               velocity of B there less that of A               (paper eq. 4)
@@ -115,6 +119,7 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
       Lanes3 lever_a{}, lever_b{};
       Lanes3 centers = {dv.x, dv.y, dv.z};  // velocity of pebble j less that of i
       Lanes arm_a, arm_b;
+      Lanes3 branch = (now.reach - now.overlap) * normal;  // from body to body; only a periodic cell asks for it
       if constexpr (has_clumps) {
         // From the centres of the bodies to those of their pebbles; the row's fourth is r less R_eq.
         for (int l = 0; l < width; ++l) rows[l] = row(&state.pebbles[i[l]].x) - row(&state.bodies[a[l]].x);
@@ -128,6 +133,7 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
         arm_b = (radius_i + difference) - half * now.overlap;
         lever_a = Lanes3{out_a.x, out_a.y, out_a.z} + arm_a * normal;
         lever_b = Lanes3{out_b.x, out_b.y, out_b.z} - arm_b * normal;
+        branch = branch + Lanes3{out_a.x, out_a.y, out_a.z} - Lanes3{out_b.x, out_b.y, out_b.z};
         centers = centers + cross({wb.x, wb.y, wb.z}, {out_b.x, out_b.y, out_b.z}) -
                   cross({wa.x, wa.y, wa.z}, {out_a.x, out_a.y, out_a.z});
       } else {
@@ -136,6 +142,10 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
         arm_a = radius_i - half * now.overlap;
         arm_b = (radius_i + dv.w) - half * now.overlap;
       }
+
+      if constexpr (is_periodic)
+        centers =
+            centers + Lanes3{law.strain_rate_x * branch.x, law.strain_rate_y * branch.y, law.strain_rate_z * branch.z};
 
       // The law.
       const Lanes normal_velocity = dot(centers, normal);
@@ -191,6 +201,11 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
         sum.contact_force.add(begin, square_root(dot(force, force)));
         sum.normal_energy.add(begin, select(now.touches, half * elastic_force * now.overlap, zero));
         sum.overlap_ratio.raise(begin, select(now.touches, now.overlap / smaller_radius, zero));
+        if constexpr (is_periodic) {
+          sum.virial_x.add(begin, select(now.touches, force.x * branch.x, zero));
+          sum.virial_y.add(begin, select(now.touches, force.y * branch.y, zero));
+          sum.virial_z.add(begin, select(now.touches, force.z * branch.z, zero));
+        }
       }
 
       // Loads, in the order of the list.
@@ -221,6 +236,11 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
     sums.shear_energy += sum.shear_energy.total();
     const double ratio = sum.overlap_ratio.largest();
     if (ratio > sums.largest_overlap_ratio) sums.largest_overlap_ratio = ratio;
+    if constexpr (is_periodic) {
+      sums.virial_x += sum.virial_x.total();
+      sums.virial_y += sum.virial_y.total();
+      sums.virial_z += sum.virial_z.total();
+    }
   }
 }
 

@@ -50,6 +50,8 @@ struct PairLaw {
   double friction;
   double damping_ratio;
   double time_step;  // the step that led to t_n [s]
+  double strain_rate_x, strain_rate_y,
+      strain_rate_z;  // of a periodic cell in that step: bodies part by so much of their distance [1/s]
 };
 
 // What a stretch adds up to.
@@ -64,6 +66,7 @@ struct PairSums {
   double normal_energy = 0;  // [J]
   double shear_energy = 0;   // [J]
   double largest_overlap_ratio = 0;
+  double virial_x = 0, virial_y = 0, virial_z = 0;  // sum of force on A times branch to B, periodic cells only [J]
 };
 
 struct PairKernelTraits {

@@ -286,13 +286,14 @@ WallSettings wall_of(const SceneFile& file, int index) {
   }
   wall.velocity = to_vector(from.velocity());
   wall.spin = to_vector(from.spin());
+  wall.speed_ramp = from.speed_ramp();
   if (from.has_spin_center()) wall.center = to_vector(from.spin_center());
   if (from.has_friction()) wall.friction = from.friction();
   if (from.has_servo()) {
     const scene::WallServo& servo = from.servo();
-    wall.servo = WallServoSettings{servo.pressure(), servo.area(), servo.top_speed(), servo.closing(),
-                                   to_vector(servo.direction())};
-    check_servo(wall.shape, *wall.servo, where);
+    wall.servo = WallServoSettings{
+        servo.pressure(),    servo.area(), servo.top_speed(), servo.closing(), to_vector(servo.direction()),
+        servo.balance_only()};
   }
   return wall;
 }
@@ -302,7 +303,8 @@ WallSettings wall_of(const SceneFile& file, int index) {
 bool is_later_key(const std::string& key) {
   static const std::vector<std::string> keys = {"grains.interface_friction", "grains.wall_friction", "pile.friction",
                                                 "pile.penetration", "pile.speed_ramp"};
-  static const std::vector<std::string> of_walls = {".name", ".velocity", ".spin", ".spin_center", ".friction"};
+  static const std::vector<std::string> of_walls = {".name",        ".velocity", ".speed_ramp",        ".spin",
+                                                    ".spin_center", ".friction", ".servo.balance_only"};
   return std::find(keys.begin(), keys.end(), key) != keys.end() ||
          (key.starts_with("wall[") &&
           std::any_of(of_walls.begin(), of_walls.end(), [&](const std::string& end) { return key.ends_with(end); }));
@@ -387,6 +389,8 @@ Settings make_settings(const SceneFile& file) {
   s.pebbles = static_cast<int>(pebbles ? pebbles : grains.pebbles());
 
   for (int i = 0; i < scene.wall_size(); ++i) s.walls.push_back(wall_of(file, i));
+  for (std::size_t i = 0; i < s.walls.size(); ++i)
+    if (s.walls[i].servo) check_servo(s.walls, i, file.where(fmt::format("wall[{}]", i)) + ".");
   for (const scene::Plane& p : scene.plane()) {
     const Vec3 normal = to_vector(p.normal());
     if (normal.norm() == 0)
@@ -432,7 +436,8 @@ Settings make_settings(const SceneFile& file) {
                balance.servo_tolerance(),
                balance.traction_tolerance(),
                balance.max_servo_travel(),
-               balance.max_cycles()};
+               balance.max_cycles(),
+               balance.has_friction() ? balance.friction() : grains.friction()};
   s.has_apply = scene.apply().max_steps() > 0;
   s.apply_damping = scene.apply().damping();
   s.run_damping = scene.run().damping();

@@ -83,6 +83,7 @@ struct BalanceSettings {
   double traction_tolerance = 0;  // relative
   double max_servo_travel = 0;    // [mean R]
   std::uint32_t max_cycles = 0;
+  double friction = 0;  // between grains [-]
 };
 
 struct BallSettings {

@@ -337,7 +337,7 @@ void GrainsRun::take_packing(const BalancedPacking& packing) {
   assembly_.is_fixed = packing.state.is_fixed;
   make_model();
   restore(*model_, packing.state);
-  if (settings_.balance.max_cycles > 0) set_friction(settings_.material.friction, 0);
+  if (settings_.balance.max_cycles > 0) set_friction(settings_.balance.friction, 0);
 }
 
 BalanceFigures GrainsRun::figures_of(const Servo& servo) const {
@@ -509,7 +509,7 @@ void GrainsRun::settle(Servo& servo) {
   Model& m = *model_;
   const BalanceSettings& b = settings_.balance;
   m.damping = b.damping;
-  set_friction(settings_.material.friction, 0);
+  set_friction(b.friction, 0);
   m.contacts.clear_history();
   servo.is_active = false;
   m.walls.set_moving(false, true);
@@ -774,6 +774,7 @@ void GrainsRun::begin_apply() {
   Model& m = *model_;
   m.damping = settings_.has_apply ? settings_.apply_damping : settings_.run_damping;
   m.walls.set_moving(false, true);
+  m.walls.end_balance();
   set_friction(settings_.material.friction, 1);
   m.time = 0;
   m.step = 0;

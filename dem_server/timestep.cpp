@@ -146,4 +146,9 @@ double critical_step_power(const std::vector<ContactView>& contacts, const Parti
   return power_margin * 2 / std::sqrt(squared_frequency * (1 + damping));
 }
 
+double quiet_step(const Particles& particles, const GrainMaterial& material) {
+  const double smallest = particles.smallest_radius();
+  return quiet_share * std::sqrt(particles.lightest() / material.normal_stiffness(smallest, smallest));
+}
+
 }  // namespace lockstep::dem

@@ -49,4 +49,8 @@ class StiffnessSum {
 double critical_step_power(const std::vector<ContactView>& contacts, const Particles& particles, double damping,
                            int products = power_products, const Vec3s& branches = {});
 
+// For packings that are still being made, whose contacts come and go: quiet_share of sqrt(m / k_n) of the lightest and
+// smallest grain [s].
+double quiet_step(const Particles& particles, const GrainMaterial& material);
+
 }  // namespace lockstep::dem

@@ -10,11 +10,14 @@ WallHistory::WallHistory(const std::vector<WallSettings>& walls, const std::file
     if (walls[k].name.empty()) continue;
     Sum sum;
     sum.wall = k;
+    const auto* tube = std::get_if<FrustumShape>(&walls[k].shape);
+    sum.has_radius = std::holds_alternative<CylinderShape>(walls[k].shape) || (tube && tube->is_cylinder());
     sums_.push_back(sum);
     for (const char* quantity :
          {"force x [N]", "force y [N]", "force z [N]", "torque x [N m]", "torque y [N m]", "torque z [N m]",
           "pressure [Pa]", "contacts", "centre x [m]", "centre y [m]", "centre z [m]", "servo way [m]"})
       columns.push_back(walls[k].name + " " + quantity);
+    if (sums_.back().has_radius) columns.push_back(walls[k].name + " radius [m]");
   }
   if (!sums_.empty() && !folder.empty()) history_ = std::make_unique<History>(folder / "wall_history.csv", columns);
 }
@@ -42,9 +45,8 @@ void WallHistory::write_row(const Walls& walls, std::uint64_t step, double time)
     row.push_back(sum.contacts / steps_);
     row.insert(row.end(), center.data(), center.data() + 3);
     row.push_back(walls.state(sum.wall).servo_way);
-    const std::size_t wall = sum.wall;
-    sum = Sum{};
-    sum.wall = wall;
+    if (sum.has_radius) row.push_back(*walls.radius(sum.wall));
+    sum = Sum{sum.wall, sum.has_radius};
   }
   steps_ = 0;
   history_->add(row);

@@ -1,6 +1,6 @@
 // wall_history.csv: what each wall of the scene's `wall` blocks carries and where it is, a row whenever the grains'
 // history has one. Forces, torques and pressures are means over the steps since the last row, places those of the row's
-// step. Torques are about the wall's centre.
+// step (a plane is where its servo has moved it beside its centre). Torques are about the wall's centre.
 #pragma once
 #include <filesystem>
 #include <memory>
@@ -23,6 +23,7 @@ class WallHistory {
  private:
   struct Sum {
     std::size_t wall = 0;
+    bool has_radius = false;     // cylinders have a column for it
     Vec3 force = Vec3::Zero();   // [N]
     Vec3 torque = Vec3::Zero();  // [N m]
     double pressure = 0;         // [Pa]

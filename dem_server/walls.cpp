@@ -21,6 +21,9 @@ constexpr double least_similarity = 0.5;
 constexpr double parallel = 1e-12;
 constexpr double on_axis = 1e-9;
 
+// A plane lies across an axis when the sine between its normal and the axis is below this.
+constexpr double across = 1e-9;
+
 // Contacts of the last step with one wall, by pebble. A spring is handed on once.
 class Springs {
  public:
@@ -192,6 +195,23 @@ void grow(FrustumShape& s, double way) {
   s.begin_radius += change, s.end_radius += change;
 }
 
+// Axis, of any length, and radius of a cylinder with the grains inside.
+struct InnerCylinder {
+  Vec3 axis;
+  double radius;  // [m]
+};
+std::optional<InnerCylinder> inner_cylinder(const WallShape& shape) {
+  if (const auto* s = std::get_if<CylinderShape>(&shape); s && s->side == Side::Inside)
+    return InnerCylinder{s->axis, s->radius};
+  if (const auto* s = std::get_if<FrustumShape>(&shape); s && s->side == Side::Inside && s->is_cylinder())
+    return InnerCylinder{s->axis, s->begin_radius};
+  return {};
+}
+
+bool lies_across(const Vec3& normal, const Vec3& axis) {
+  return normal.cross(axis).norm() <= across * normal.norm() * axis.norm();
+}
+
 template <class... Visitors>
 struct Overloaded : Visitors... {
   using Visitors::operator()...;
@@ -201,9 +221,11 @@ Overloaded(Visitors...) -> Overloaded<Visitors...>;
 
 }  // namespace
 
-void check_servo(const WallShape& shape, WallServoSettings& servo, const std::string& where) {
-  const bool has_direction =
-      std::holds_alternative<PlaneShape>(shape) || std::visit([](const auto& s) { return has_servo_radius(s); }, shape);
+void check_servo(std::vector<WallSettings>& walls, std::size_t index, const std::string& where) {
+  const WallShape& shape = walls[index].shape;
+  WallServoSettings& servo = *walls[index].servo;
+  const auto* plane = std::get_if<PlaneShape>(&shape);
+  const bool has_direction = plane || std::visit([](const auto& s) { return has_servo_radius(s); }, shape);
   if (!has_direction) {
     if (!(servo.direction.norm() > 0))
       throw InputError(
@@ -213,11 +235,15 @@ void check_servo(const WallShape& shape, WallServoSettings& servo, const std::st
     servo.direction.normalize();
   }
   const auto* frustum = std::get_if<FrustumShape>(&shape);
-  const bool has_area = frustum && frustum->is_cylinder();
+  const bool has_area = (frustum && frustum->is_cylinder()) ||
+                        (plane && std::any_of(walls.begin(), walls.end(), [&](const WallSettings& other) {
+                           const auto inner = inner_cylinder(other.shape);
+                           return inner && lies_across(plane->normal, inner->axis);
+                         }));
   if (!(servo.area > 0) && !has_area)
     throw InputError(
-        fmt::format("{}servo.area = {} m2 must be positive: only a cylinder with a length has an area of its own; give "
-                    "the area that the pressure acts on",
+        fmt::format("{}servo.area = {} m2 must be positive: only a cylinder with a length, and a plane across a "
+                    "cylinder, have an area of their own; give the area that the pressure acts on",
                     where, servo.area));
   if (!(servo.pressure >= 0))
     throw InputError(fmt::format("{}servo.pressure = {} Pa is out of range; walls press, so it must not be negative",
@@ -243,17 +269,21 @@ Walls::Walls(const std::vector<PlaneSettings>& planes, double friction)
           friction) {}
 
 Walls::Walls(std::vector<WallSettings> walls, double friction) : common_friction_(friction) {
+  for (std::size_t k = 0; k < walls.size(); ++k)
+    if (walls[k].servo)
+      check_servo(walls, k, (walls[k].name.empty() ? fmt::format("wall {}", k + 1) : walls[k].name) + ": ");
   for (WallSettings& from : walls) {
     Wall wall;
     wall.name = from.name.empty() ? fmt::format("wall {}", walls_.size() + 1) : from.name;
     const std::string where = wall.name + ": ";
     std::visit([&](auto& shape) { check(shape, where); }, from.shape);
     wall.servo = from.servo;
-    if (wall.servo) check_servo(from.shape, *wall.servo, where);
     wall.friction = from.friction.value_or(friction);
     wall.state.center =
         from.center ? *from.center : std::visit([](const auto& shape) { return own_point(shape); }, from.shape);
-    wall.state.velocity = from.velocity;
+    wall.full_velocity = from.velocity;
+    wall.speed_ramp = from.speed_ramp;
+    if (!(from.speed_ramp > 0)) wall.state.velocity = from.velocity;
     wall.start = std::move(from.shape);
     std::visit([&](auto& shape) { shift_by(shape, -wall.state.center); }, wall.start);
     wall.shape = wall.start;
@@ -278,7 +308,10 @@ std::vector<PlaneSettings> Walls::planes() const {
   return planes;
 }
 
-void Walls::set_velocity(std::size_t wall, const Vec3& velocity) { walls_[wall].state.velocity = velocity; }
+void Walls::set_velocity(std::size_t wall, const Vec3& velocity) {
+  walls_[wall].state.velocity = walls_[wall].full_velocity = velocity;
+  walls_[wall].speed_ramp = 0;
+}
 
 void Walls::set_spin(std::size_t k, const Vec3& spin) {
   Wall& wall = walls_[k];
@@ -295,6 +328,14 @@ void Walls::set_moving(bool velocities, bool servos) {
     for (Wall& wall : walls_) wall.state.servo_speed = 0;
 }
 
+void Walls::end_balance() {
+  for (Wall& wall : walls_)
+    if (wall.servo && wall.servo->balance_only) {
+      wall.servo_rests = true;
+      wall.state.servo_speed = 0;
+    }
+}
+
 bool Walls::is_behind(const Vec3& x) const {
   return std::any_of(walls_.begin(), walls_.end(), [&](const Wall& wall) {
     const Vec3 local = wall.state.attitude.conjugate() * (x - wall.state.center);
@@ -306,7 +347,8 @@ bool Walls::is_behind(const Vec3& x) const {
 }
 
 bool Walls::is_moving(const Wall& wall) const {
-  return !velocity_of(wall).isZero(0) || !spin_of(wall).isZero(0) || (servos_count_ && wall.servo);
+  return (velocities_count_ && !wall.full_velocity.isZero(0)) || !spin_of(wall).isZero(0) ||
+         (servos_count_ && wall.servo && !wall.servo_rests);
 }
 
 void Walls::renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team,
@@ -485,7 +527,7 @@ void Walls::advance(double dt) {
   for (std::size_t k = 0; k < walls_.size(); ++k) {
     Wall& wall = walls_[k];
     WallState& state = wall.state;
-    if (wall.servo && servos_count_ && dt > 0) {
+    if (wall.servo && servos_count_ && !wall.servo_rests && dt > 0) {
       const WallServoSettings& servo = *wall.servo;
       const double stiffness = std::max(totals_[k].stiffness, one_contact_stiffness_);
       const double missing = servo.pressure * area(k) - totals_[k].pressing;  // [N]
@@ -493,6 +535,10 @@ void Walls::advance(double dt) {
           stiffness > 0 ? std::clamp(servo.closing * missing / (stiffness * dt), -servo.top_speed, servo.top_speed) : 0;
       state.servo_way += state.servo_speed * dt;
       apply_servo_way(wall);
+    }
+    if (wall.speed_ramp > 0 && velocities_count_) {
+      wall.time_on_ramp += dt;
+      state.velocity = std::min(1.0, wall.time_on_ramp / wall.speed_ramp) * wall.full_velocity;
     }
     const Vec3 velocity = velocity_of(wall), spin = spin_of(wall);
     state.center += velocity * dt;
@@ -509,17 +555,49 @@ void Walls::advance(double dt) {
   }
 }
 
+// Of the part of a tube's axis that lies on the grains' side of all planes across it [m].
+double Walls::length_between_planes(const Wall& wall, const FrustumShape& tube) const {
+  const Vec3 axis = wall.state.attitude * tube.axis;
+  const Vec3 begin = wall.state.center + wall.state.attitude * tube.point;
+  double low = 0, high = tube.length;
+  for (const Wall& other : walls_) {
+    const auto* plane = std::get_if<PlaneShape>(&other.shape);
+    if (!plane) continue;
+    const Vec3 normal = other.state.attitude * plane->normal;
+    if (!lies_across(normal, axis)) continue;
+    const double at = (other.state.center + other.state.attitude * plane->point - begin).dot(axis);
+    if (normal.dot(axis) > 0)
+      low = std::max(low, at);
+    else
+      high = std::min(high, at);
+  }
+  return std::max(0.0, high - low);
+}
+
+std::optional<double> Walls::radius(std::size_t k) const {
+  if (const auto* cylinder = std::get_if<CylinderShape>(&walls_[k].shape)) return cylinder->radius;
+  const auto* tube = std::get_if<FrustumShape>(&walls_[k].shape);
+  if (tube && tube->is_cylinder()) return tube->begin_radius;
+  return {};
+}
+
 double Walls::area(std::size_t k) const {
   const Wall& wall = walls_[k];
   const double given = wall.servo ? wall.servo->area : 0.0;
   if (const auto* frustum = std::get_if<FrustumShape>(&wall.shape)) {
-    if (!(given > 0)) return frustum->side_area();
+    if (!(given > 0)) return frustum->side_area() * length_between_planes(wall, *frustum) / frustum->length;
     return frustum->is_cylinder() ? given * frustum->begin_radius / std::get<FrustumShape>(wall.start).begin_radius
                                   : given;
   }
   if (const auto* cylinder = std::get_if<CylinderShape>(&wall.shape))
     return given * cylinder->radius / std::get<CylinderShape>(wall.start).radius;
-  return given;
+  const auto* plane = std::get_if<PlaneShape>(&wall.shape);
+  if (given > 0 || !plane) return given;
+  for (const Wall& other : walls_)
+    if (const auto inner = inner_cylinder(other.shape);
+        inner && lies_across(wall.state.attitude * plane->normal, other.state.attitude * inner->axis))
+      return pi * inner->radius * inner->radius;
+  return 0;
 }
 
 double Walls::pressure(std::size_t k) const { return area(k) > 0 ? totals_[k].pressing / area(k) : 0.0; }
@@ -527,7 +605,7 @@ double Walls::pressure(std::size_t k) const { return area(k) > 0 ? totals_[k].pr
 double Walls::worst_servo_error() const {
   double worst = 0;
   for (std::size_t k = 0; k < walls_.size(); ++k)
-    if (walls_[k].servo && walls_[k].servo->pressure > 0)
+    if (walls_[k].servo && !walls_[k].servo_rests && walls_[k].servo->pressure > 0)
       worst = std::max(worst, std::abs(pressure(k) / walls_[k].servo->pressure - 1));
   return worst;
 }

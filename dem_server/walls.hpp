@@ -92,10 +92,11 @@ struct WallTotals {
 
 struct WallServoSettings {
   double pressure = 0;            // to hold [Pa]
-  double area = 0;                // that it counts for; 0: the shape's own, which only a finite cylinder has [m2]
+  double area = 0;                // that it counts for; 0: the shape's own, see Walls::area [m2]
   double top_speed = 0.05;        // [m/s]; too fast a wall hits its grains, too slow a one takes long
   double closing = 0.2;           // c, share of the error that one step closes; above 1 it chatters
   Vec3 direction = Vec3::Zero();  // of cones and meshes, towards the grains
+  bool balance_only = false;      // rests once Walls::end_balance() is called
 };
 
 struct MeshShape {
@@ -105,18 +106,20 @@ struct MeshShape {
 
 using WallShape = std::variant<PlaneShape, CylinderShape, FrustumShape, MeshShape>;
 
-// InputError, in words that begin with `where`, for a servo without what its shape needs. The direction is made unit.
-void check_servo(const WallShape& shape, WallServoSettings& servo, const std::string& where);
-
 struct WallSettings {
   std::string name;  // in messages and results; empty: "wall K"
   WallShape shape;
   Vec3 velocity = Vec3::Zero();    // t_{n-1/2} [m/s]
   Vec3 spin = Vec3::Zero();        // t_{n-1/2}, world [rad/s]
+  double speed_ramp = 0;           // from rest to the velocity [s]
   std::optional<Vec3> center;      // of the spin, t_n; else the shape's own point, a mesh's origin [m]
   std::optional<double> friction;  // else the one that Walls is given
   std::optional<WallServoSettings> servo;
 };
+
+// InputError, in words that begin with `where`, for a servo of walls[index] without what its shape needs. The direction is made
+// unit.
+void check_servo(std::vector<WallSettings>& walls, std::size_t index, const std::string& where);
 
 // A plane that may slide and move, and no more.
 struct PlaneSettings {
@@ -156,10 +159,12 @@ class Walls {
   void set_friction_share(double share) { friction_share_ = share; }
   double friction(std::size_t wall) const { return friction_share_ * walls_[wall].friction; }  // [-]
   double friction() const { return friction_share_ * common_friction_; }  // of walls without their own [-]
-  void set_velocity(std::size_t wall, const Vec3& velocity);              // [m/s]
+  void set_velocity(std::size_t wall, const Vec3& velocity);              // without a ramp [m/s]
   void set_spin(std::size_t wall, const Vec3& spin);                      // [rad/s]
   // False: walls stand still and servos rest, whatever their velocities. Contacts then see no velocity.
   void set_moving(bool velocities, bool servos);
+  // Servos that are for stage Balance alone rest from now on.
+  void end_balance();
   const WallState& state(std::size_t wall) const { return walls_[wall].state; }
   const Vec3& center(std::size_t wall) const { return walls_[wall].state.center; }  // t_n [m]
   // Those that are planes, as they stand and move at t_n.
@@ -178,9 +183,12 @@ class Walls {
   // Per wall, of the last compute().
   const std::vector<WallTotals>& totals() const { return totals_; }
   bool has_servo(std::size_t wall) const { return walls_[wall].servo.has_value(); }
-  double area(std::size_t wall) const;      // that the servo counts for [m2]
-  double pressure(std::size_t wall) const;  // on its servo's area, of the last compute() [Pa]
-  // Largest |p - target| / target over all servos; 0 without servos.
+  // That the servo counts for [m2]. Where none is given: of a tube its side, of which planes across the axis cut off what
+  // lies behind them; of a plane the cross-section of the cylinder that it lies across.
+  double area(std::size_t wall) const;
+  std::optional<double> radius(std::size_t wall) const;  // of cylinders, t_n [m]
+  double pressure(std::size_t wall) const;               // on its servo's area, of the last compute() [Pa]
+  // Largest |p - target| / target over all servos that work; 0 without.
   double worst_servo_error() const;
   const std::vector<WallContact>& contacts() const { return contacts_; }  // by wall, then pebble
   template <class Visitor>
@@ -207,6 +215,10 @@ class Walls {
     bool turns_in_itself = false;
     double friction = 0;  // [-]
     std::optional<WallServoSettings> servo;
+    bool servo_rests = false;
+    Vec3 full_velocity = Vec3::Zero();  // at the ramp's end [m/s]
+    double speed_ramp = 0;              // [s]
+    double time_on_ramp = 0;            // [s]
     WallState state;
     WallCandidates candidates;
     double lever = 0;  // farthest that a pebble can be from the centre [m]
@@ -222,6 +234,7 @@ class Walls {
   Vec3 velocity_of(const Wall& wall) const { return velocities_count_ ? wall.state.velocity : Vec3(Vec3::Zero()); }
   Vec3 spin_of(const Wall& wall) const { return velocities_count_ ? wall.state.spin : Vec3(Vec3::Zero()); }
   bool is_moving(const Wall& wall) const;
+  double length_between_planes(const Wall& wall, const FrustumShape& tube) const;
   void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
   void press(Particles& particles, const GrainMaterial& material, double dt, const PebbleRange& range, Part& part);
   void gather();

@@ -59,3 +59,27 @@ TEST_CASE("tools/run --help shows examples") {
   CHECK(help.exit_code == 0);
   CHECK(contains(help.text, "tools/run scenarios/pile_quick"));
 }
+
+TEST_CASE("Moduli, strength and the calibration's search give what made-up tests were made of") {
+  // The script derives each answer and prints the errors.
+  const Outcome fit = run("tests/common/check_triaxial_fit.py");
+  INFO(fit.text);
+  CHECK(fit.exit_code == 0);
+}
+
+TEST_CASE("tools/triaxial and tools/calibrate refuse what cannot work, in words") {
+  const Outcome pressures = run("tools/triaxial --pressures 100e3,none");
+  CAPTURE(pressures.text);
+  CHECK(pressures.exit_code == 1);
+  CHECK(contains(pressures.text, "--pressures 100e3,none"));
+
+  const Outcome ratio = run("tools/calibrate --poisson-ratio 0.6");
+  CAPTURE(ratio.text);
+  CHECK(ratio.exit_code == 1);
+  CHECK(contains(ratio.text, "--poisson-ratio 0.6 is out of range [0, 0.45]"));
+
+  const Outcome seeds = run("tools/calibrate --seeds one");
+  CAPTURE(seeds.text);
+  CHECK(seeds.exit_code == 1);
+  CHECK(contains(seeds.text, "--seeds one"));
+}

@@ -160,6 +160,39 @@ TEST_CASE("A specimen is packed in a cylinder and held by servos on mantle and l
   CHECK(std::abs(bottom) < 5e-3);
 }
 
+TEST_CASE(
+    "The triaxial scene begins with its pressure on all sides and keeps it on the mantle while the platen comes down") {
+  // No gravity: platen and bottom carry p pi R^2, R the mantle's at the moment, and the mantle p over the height between them,
+  // all within the balance's 3e-3. Then the platen's way is the velocity's integral, v (t - ramp/2), the mantle's pressure lags by
+  // its servo's offset, and works and energies balance.
+  const Folder folder;
+  RunOptions options;
+  options.results = folder.path;
+  const RunReport r = run_alone(
+      scenario("triaxial", {"grains.packing.count=400", "grains.packing.cube_grains=150",
+                            "grains.packing.porosity=0.41", "run.duration=0.15", "output.history_interval=1"}),
+      options);
+  auto walls = columns_of(folder.path / "wall_history.csv");
+  const double radius = walls["mantle radius [m]"].front(), load = 100e3 * pi * radius * radius;
+  const double top = walls["top force z [N]"].front() / load - 1,
+               bottom = -walls["bottom force z [N]"].front() / load - 1;
+  const double mantle = walls["mantle pressure [Pa]"].front() / 100e3 - 1;
+  CAPTURE(r.grains, top, bottom, mantle);
+  CHECK(std::abs(top) < 5e-3);
+  CHECK(std::abs(bottom) < 5e-3);
+  CHECK(std::abs(mantle) < 5e-3);
+  double worst = 0;
+  for (const double pressure : walls["mantle pressure [Pa]"]) worst = std::max(worst, std::abs(pressure / 100e3 - 1));
+  const double way = walls["top centre z [m]"].front() - walls["top centre z [m]"].back();
+  const double expected = 0.06 * (r.time - 0.5 * 0.05);
+  CAPTURE(worst, way / expected - 1, r.energy_residual);
+  CHECK(way == Approx(expected).epsilon(2e-3));
+  CHECK(walls["top servo way [m]"].front() == walls["top servo way [m]"].back());
+  CHECK(walls["top force z [N]"].back() > 2 * load);
+  CHECK(worst < 0.02);
+  CHECK(std::abs(r.energy_residual) < 2e-3);
+}
+
 TEST_CASE("A tub carries the weight of the grains in it") {
   const RunReport r = run_alone(parse_scene(std::string(cell_walls) + R"(
     grains { wall_friction: 0.5 packing { count: 400 porosity: 0.4 cube_grains: 150 } }

@@ -196,6 +196,42 @@ TEST_CASE("A cylinder with a servo closes on a ring of spheres until their force
   }
 }
 
+TEST_CASE("A mantle's pressure counts between the platens, a platen presses first and is driven then, from rest") {
+  // A tilted drum of length 0.5 with platens across its axis at 0.05 and 0.35, the upper one moving, and a plane at another
+  // angle, which counts for nothing. Its area is 2 pi r times the distance of the platens.
+  const Vec3 axis = Vec3(1, 0, 2).normalized();
+  WallSettings drum = wall(FrustumShape{Vec3::Zero(), axis, 0.2, 0.2, 0.5, Side::Inside});
+  drum.servo = WallServoSettings{1e6, 0, 0.2, 0.2, Vec3::Zero()};
+  WallSettings top = wall(PlaneShape{0.35 * axis, -axis});
+  top.servo = WallServoSettings{1e6, 0, 0.2, 0.2, Vec3::Zero(), true};
+  top.velocity = -0.5 * axis;
+  top.speed_ramp = 0.01;
+  Walls walls(std::vector<WallSettings>{drum, wall(PlaneShape{0.05 * axis, axis}), top,
+                                        wall(PlaneShape{Vec3(0, 0, 0.1), Vec3::UnitZ()})});
+  walls.set_moving(false, true);
+  Particles p = spheres_at({0.2 * axis});  // touches nobody
+  const double dt = 1e-4;
+  const auto advance = [&](int steps) {
+    for (int n = 0; n < steps; ++n) walls.compute(p, grain(), dt), walls.advance(dt);
+  };
+  // Nothing presses back: both servos close as fast as they may.
+  advance(100);
+  const double way = 100 * dt * 0.2;
+  CHECK(*walls.radius(0) == Approx(0.2 - way).epsilon(1e-12));
+  CHECK(walls.area(0) == Approx(2 * pi * (0.2 - way) * (0.3 - way)).epsilon(1e-12));
+  CHECK(walls.area(2) == Approx(pi * (0.2 - way) * (0.2 - way)).epsilon(1e-12));
+  CHECK(walls.worst_servo_error() == Approx(1));
+  // Driven: the ramp of 100 steps has speeds k/100 of the full one, k = 1, 2, ...; the servo's way stays.
+  walls.end_balance();
+  walls.set_moving(true, false);
+  CHECK(walls.state(2).velocity.isZero(0));
+  advance(150);
+  const double driven = 0.5 * dt * (100 * 101 / 2 / 100.0 + 50);
+  CHECK(walls.state(2).servo_way == Approx(way).epsilon(1e-12));
+  CHECK((walls.state(2).center - (0.35 - driven) * axis).norm() < 1e-12);
+  CHECK(walls.area(0) == Approx(2 * pi * (0.2 - way) * (0.3 - way - driven)).epsilon(1e-12));
+}
+
 TEST_CASE("A servo without what its wall needs is refused in words") {
   const auto text_of = [](WallShape shape, WallServoSettings servo) {
     WallSettings settings = wall(std::move(shape));
