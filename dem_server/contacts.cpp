@@ -153,7 +153,7 @@ void PairContacts::strain(Particles& particles, const Vec3& rate, double time_st
       pebble.x += way.x(), pebble.y += way.y(), pebble.z += way.z();
     }
   }
-  for (std::vector<SphereRecord>* marks : {&marks_, &outer_marks_})
+  for (LargeArray<SphereRecord>* marks : {&marks_, &outer_marks_})
     for (SphereRecord& mark : *marks) mark.x *= stretch.x(), mark.y *= stretch.y(), mark.z *= stretch.z();
   for (std::vector<Chunk>* group : {&chunks_, &borders_})
     for (Chunk& chunk : *group)
