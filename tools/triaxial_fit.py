@@ -136,7 +136,8 @@ def run_cell(scene, out, pressure, strain, overrides=(), options=()):
     if not os.path.isfile(CELL):
         raise Failure(2, f"{CELL}: not there; build first with tools/setup")
     command = [CELL, scene, "--out", out, "--pressure", repr(pressure), "--strain", repr(strain)]
-    for override in overrides:
+    # Packed at the pressure of the test: packed at less, the cell would be denser than asked for once it is pressed.
+    for override in [f"grains.packing.cube_pressure={pressure!r}", *overrides]:
         command += ["--set", override]
     done = subprocess.run(command + [str(o) for o in options], capture_output=True, text=True, check=False)
     if done.returncode != 0:
