@@ -1,6 +1,8 @@
 // What the interface does to force, moment, work and the step: both solvers in one process.
 #include <catch2/catch.hpp>
 #include <cmath>
+#include <fstream>
+#include <iterator>
 
 #include "tests/coupled/coupled_fixture.hpp"
 
@@ -116,6 +118,44 @@ TEST_CASE("a packing that a long step liquefies in silence is told from one at r
   CHECK(v.zones_code == ExitCode::Numerical);
   CHECK_THAT(v.grains, Contains("shivers instead of resting") && Contains("fidelity.step_fraction"));
   CHECK_THAT(v.zones, Contains(v.grains));
+}
+
+TEST_CASE("a run that fails goes back to its last sound state on both sides") {
+  // A grain falls 30 mm onto the block, sqrt(2 h / g) = 0.078 s, some 700 steps. Until then energies balance to 1e-3; contacts of a
+  // few steps do not to 1e-2. States are kept every 500 steps; the newest that is 100 steps older than the failure is shown.
+  const SceneFile scene =
+      read_scene(scenario("grain_on_block"),
+                 {"grains.grain[0].center.z=0.06", "apply.max_steps=0", "run.damping=0", "run.continuum_damping=0",
+                  "run.duration=0.2", "coupling.stop_if_energy_error=0.01", "output.history_interval=50"});
+  const std::filesystem::path folder = std::filesystem::temp_directory_path() / "lockstep_last_sound_state";
+  std::filesystem::remove_all(folder);
+  std::filesystem::create_directories(folder);
+  spdlog::set_level(spdlog::level::off);
+  auto [server, client] = protocol::make_loopback();
+  std::string verdict;
+  std::thread grains([&, channel = std::move(server)]() mutable {
+    dem::RunOptions options;
+    options.results = folder;
+    try {
+      dem::run_grains(scene, std::move(channel), options);
+    } catch (const Error& e) {
+      verdict = e.what();
+    }
+  });
+  CHECK_THROWS_AS(continuum::run_continuum(scene, folder, std::move(client), {}), Error);
+  grains.join();
+  spdlog::set_level(spdlog::level::warn);
+  CHECK_THAT(verdict, Contains("do not balance"));
+  REQUIRE(verdict.rfind("step ", 0) == 0);
+  const int failed_at = std::stoi(verdict.substr(5)), sound = (failed_at - 100) / 500 * 500;
+  CHECK(sound >= 500);
+  for (const char* name : {"dem_summary.json", "continuum_summary.json"}) {
+    std::ifstream file(folder / name);
+    const std::string text{std::istreambuf_iterator<char>(file), {}};
+    INFO(name << ": " << verdict);
+    CHECK_THAT(text, Contains(fmt::format("\"steps\": {},", sound)));
+  }
+  std::filesystem::remove_all(folder);
 }
 
 TEST_CASE("a limit that falls is answered by a smaller step or by the end of the run, as the scene says") {
