@@ -15,7 +15,11 @@ namespace {
 // Facets within this many R of a pebble's reach are listed, so that a list lasts until its pebble has moved as far.
 constexpr double skin = 0.5;
 // Boxes are made anew when nodes may have moved by this share of the smallest facet.
-constexpr double box_drift = 0.01;
+constexpr double box_drift = 0.001;
+// What rounding may take from a distance to a slab, over the smallest facet.
+constexpr double slab_slack = 1e-9;
+// Candidates that are looked at together, so that what they gather stays near.
+constexpr std::size_t candidate_block = 64;
 // A centre deeper than this times R behind the surface counts as tunnelled.
 constexpr double tunnel_depth = 0.5;
 // Closer to an edge than this times R, the direction from the edge to the centre is round-off: the facets' normals
@@ -123,6 +127,14 @@ FacetPoint finish(const FacetCorners& x, const Vec3& center, const Parameters& p
   return out;
 }
 
+FacetKernels kernels_of([[maybe_unused]] InstructionSet set) {
+#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+  if (set == InstructionSet::Avx512) return facet_kernel_avx512();
+  if (set == InstructionSet::Avx2) return facet_kernel_avx2();
+#endif
+  return facet_kernel_generic();
+}
+
 }  // namespace
 
 FacetPoint closest_point(const FacetCorners& x, const Vec3& center) {
@@ -173,8 +185,12 @@ FacetPoint closest_point(const FacetCorners& x, const Vec3& center) {
 // ---------------------------------------------------------------------------------------------------- the surface
 
 InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets,
-                                 double collar_height)
-    : position_(nodes), collar_height_(collar_height), real_facet_count_(facets.size()) {
+                                 double collar_height, InstructionSet instructions)
+    : kernels_(kernels_of(instructions)),
+      position_(nodes),
+      collar_height_(collar_height),
+      facet_nodes_(facets),
+      real_facet_count_(facets.size()) {
   const auto node_count = static_cast<std::int32_t>(nodes.size());
   for (std::size_t f = 0; f < facets.size(); ++f) {
     for (const std::int32_t node : facets[f])
@@ -191,20 +207,20 @@ InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::arra
   for (std::int32_t node = 0; node < node_count; ++node) real_node_.push_back(node);
 
   using Edge = std::pair<std::int32_t, std::int32_t>;
-  const auto edge_of = [](const Facet& facet, int k) -> Edge {
-    return std::minmax(facet.nodes[k], facet.nodes[(k + 1) % 4]);
+  const auto edge_of = [](const std::array<std::int32_t, 4>& n, int k) -> Edge {
+    return std::minmax(n[k], n[(k + 1) % 4]);
   };
   const auto count_edges = [&] {
     std::map<Edge, int> count;
-    for (const Facet& facet : facets_)
-      for (int k = 0; k < 4; ++k) ++count[edge_of(facet, k)];
+    for (const auto& n : facet_nodes_)
+      for (int k = 0; k < 4; ++k) ++count[edge_of(n, k)];
     return count;
   };
 
   if (collar_height > 0 && !facets_.empty()) {
     double low = nodes[0].z(), top = low;
-    for (const Facet& facet : facets_)
-      for (const std::int32_t node : facet.nodes) {
+    for (const auto& n : facets)
+      for (const std::int32_t node : n) {
         low = std::min(low, nodes[node].z());
         top = std::max(top, nodes[node].z());
       }
@@ -218,28 +234,31 @@ InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::arra
     };
     for (std::size_t f = 0; f < real_facet_count_; ++f)
       for (int k = 0; k < 4; ++k) {
-        const std::int32_t a = facets_[f].nodes[k], b = facets_[f].nodes[(k + 1) % 4];
-        if (count.at(edge_of(facets_[f], k)) > 1 || nodes[a].z() < top_band || nodes[b].z() < top_band) continue;
+        const std::int32_t a = facets[f][k], b = facets[f][(k + 1) % 4];
+        if (count.at(edge_of(facets[f], k)) > 1 || nodes[a].z() < top_band || nodes[b].z() < top_band) continue;
         // A neighbour runs along the shared edge the other way, so that both normals point to the same side.
         const std::int32_t above_a = raised(a), above_b = raised(b);
-        facets_.push_back({{b, a, above_a, above_b}, {}, static_cast<std::int32_t>(f)});
+        facet_nodes_.push_back({b, a, above_a, above_b});
+        facets_.push_back({{b, a, a, b}, {}, static_cast<std::int32_t>(f)});
       }
   }
 
   const auto count = count_edges();
   is_open_node_.assign(real_node_.size(), 0);
-  for (Facet& facet : facets_)
+  for (std::size_t f = 0; f < facets_.size(); ++f)
     for (int k = 0; k < 4; ++k) {
-      facet.is_open_edge[k] = count.at(edge_of(facet, k)) == 1;
-      if (facet.is_open_edge[k]) is_open_node_[facet.nodes[k]] = is_open_node_[facet.nodes[(k + 1) % 4]] = 1;
+      const auto& n = facet_nodes_[f];
+      facets_[f].is_open_edge[k] = count.at(edge_of(n, k)) == 1;
+      if (facets_[f].is_open_edge[k]) is_open_node_[n[k]] = is_open_node_[n[(k + 1) % 4]] = 1;
     }
 
-  contact_position_.resize(real_node_.size());
+  nodes_.resize(real_node_.size());
   nodal_force_.assign(nodes.size(), Vec3::Zero());
   node_stiffness_.assign(nodes.size(), 0.0);
   facet_force_.assign(real_facet_count_, Vec3::Zero());
   facet_stiffness_.assign(real_facet_count_, 0.0);
   boxes_.resize(facets_.size());
+  slabs_.resize(facets_.size());
   spheres_.resize(facets_.size());
   place_nodes();
   update_boxes();
@@ -293,15 +312,15 @@ void InterfaceFacets::set_offsets(std::span<const Vec3> offsets) {
 }
 
 void InterfaceFacets::place_nodes() {
-  for (std::size_t i = 0; i < contact_position_.size(); ++i) {
-    contact_position_[i] = position_[real_node_[i]] + offset_[real_node_[i]];
-    if (i >= position_.size()) contact_position_[i].z() += collar_height_;
+  for (std::size_t i = 0; i < nodes_.size(); ++i) {
+    const Vec3 x = position_[real_node_[i]] + offset_[real_node_[i]];
+    nodes_[i].x = x.x(), nodes_[i].y = x.y(), nodes_[i].z = i < position_.size() ? x.z() : x.z() + collar_height_;
   }
 }
 
 FacetCorners InterfaceFacets::corners(std::size_t facet) const {
-  const auto& n = facets_[facet].nodes;
-  return {contact_position_[n[0]], contact_position_[n[1]], contact_position_[n[2]], contact_position_[n[3]]};
+  const auto& n = facet_nodes_[facet];
+  return {place_of(n[0]), place_of(n[1]), place_of(n[2]), place_of(n[3])};
 }
 
 std::uint64_t InterfaceFacets::position_hash() const {
@@ -339,6 +358,8 @@ void InterfaceFacets::update_boxes() {
       for (int k = 0; k < 3; ++k) box.half[k] = std::max(box.half[k], std::abs(d.dot(box.axis[k])));
       spheres_[f].radius = std::max(spheres_[f].radius, d.norm());
     }
+    const Vec3 &at = box.center, &n = box.axis[2];
+    slabs_[f] = {at.x(), at.y(), at.z(), box.half[2], n.x(), n.y(), n.z(), 0};
   }
   box_travel_ = travel_;
 
@@ -381,14 +402,17 @@ void InterfaceFacets::renew_candidates(const Particles& particles, const TravelL
                         if (boxes_[facet].distance(center) <= reach + drift) touchable.push_back(facet);
                       return touchable.size() > before;
                     });
+  pair_pebble_.resize(candidates_.extras().size());
+  for (std::size_t i = 0; i < candidates_.size(); ++i)
+    std::fill_n(pair_pebble_.begin() + candidates_.extra_begin(i), candidates_.extra_count(i), candidates_.pebble(i));
 }
 
 // ---- where a pebble touches
 
 bool InterfaceFacets::shares_feature(const Foot& foot, std::int32_t facet) const {
   if (foot.at.feature == FacetFeature::Face) return false;
-  const auto& own = facets_[foot.facet].nodes;
-  const auto& other = facets_[facet].nodes;
+  const auto& own = facet_nodes_[foot.facet];
+  const auto& other = facet_nodes_[facet];
   const auto has = [&](std::int32_t node) { return std::find(other.begin(), other.end(), node) != other.end(); };
   const std::int32_t k = foot.at.feature_index;
   return has(own[k]) && (foot.at.feature == FacetFeature::Vertex || has(own[(k + 1) % 4]));
@@ -397,12 +421,12 @@ bool InterfaceFacets::shares_feature(const Foot& foot, std::int32_t facet) const
 bool InterfaceFacets::is_open(const Foot& foot) const {
   const Facet& facet = facets_[foot.facet];
   return foot.at.feature == FacetFeature::Edge ? facet.is_open_edge[foot.at.feature_index]
-                                               : is_open_node_[facet.nodes[foot.at.feature_index]] != 0;
+                                               : is_open_node_[facet_nodes_[foot.facet][foot.at.feature_index]] != 0;
 }
 
 bool InterfaceFacets::are_adjacent(std::int32_t facet_a, std::int32_t facet_b) const {
-  for (const std::int32_t a : facets_[facet_a].nodes)
-    for (const std::int32_t b : facets_[facet_b].nodes)
+  for (const std::int32_t a : facet_nodes_[facet_a])
+    for (const std::int32_t b : facet_nodes_[facet_b])
       if (a == b) return true;
   return false;
 }
@@ -420,8 +444,8 @@ void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius, co
     if (!shares_feature(foot, other.facet)) continue;
     double angle = 1;
     if (foot.at.feature == FacetFeature::Vertex) {
-      const auto& nodes = facets_[other.facet].nodes;
-      const std::int32_t node = facets_[foot.facet].nodes[foot.at.feature_index];
+      const auto& nodes = facet_nodes_[other.facet];
+      const std::int32_t node = facet_nodes_[foot.facet][foot.at.feature_index];
       const auto k = static_cast<std::size_t>(std::find(nodes.begin(), nodes.end(), node) - nodes.begin());
       const FacetCorners x = corners(other.facet);
       const Vec3 to_next = x[(k + 1) % 4] - x[k], to_last = x[(k + 3) % 4] - x[k];
@@ -439,15 +463,15 @@ void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius, co
   foot.normal = away / foot.distance;
 }
 
-// Local minima of the distance to the surface, nearest first.
-void InterfaceFacets::find_feet(const std::int32_t* facets, std::size_t count, const Vec3& center, double radius,
+// Local minima of the distance to the surface, nearest first, of a pebble and the facets that it may touch.
+void InterfaceFacets::find_feet(const std::int32_t* pairs, const std::int32_t* end, const Vec3& center, double radius,
                                 Part& part) const {
   std::vector<Foot>&feet = part.feet, &minima = part.minima;
   feet.clear();
   minima.clear();
   const double drift = travel_ - box_travel_;
-  for (std::size_t k = 0; k < count; ++k) {
-    const std::int32_t facet = facets[k];
+  for (; pairs != end; ++pairs) {
+    const std::int32_t facet = candidates_.extras()[static_cast<std::size_t>(*pairs)];
     if (boxes_[facet].distance(center) > radius + drift) continue;
     Foot foot;
     foot.at = closest_point(corners(facet), center);
@@ -473,7 +497,8 @@ void InterfaceFacets::find_feet(const std::int32_t* facets, std::size_t count, c
 }
 
 // Makes one contact of the minimum `seed` and of those that lie with it in a smooth concave part of the surface.
-void InterfaceFacets::merge(std::vector<Foot>& minima, std::size_t seed, double radius, FacetContact& contact) const {
+void InterfaceFacets::merge(Part& part, std::size_t seed, double radius, Contact& contact) const {
+  std::vector<Foot>& minima = part.minima;
   static const double cos_merge_angle = std::cos(merge_angle);
   std::array<const Foot*, max_merged> foot{};
   std::array<double, max_merged> overlap{};
@@ -528,29 +553,28 @@ void InterfaceFacets::merge(std::vector<Foot>& minima, std::size_t seed, double 
   const double sum = best.lambda[0] + best.lambda[1] + best.lambda[2];
   contact.overlap = best.length;
   contact.history.normal = -best.direction;
-  contact.foot.setZero();
-  for (std::size_t s = 0; s < best.count; ++s) {
-    const double share = best.lambda[s] / sum;
-    const Foot& at = *foot[best.facet[s]];
-    contact.shares[s] = {at.facet, share, at.at.weights};
-    contact.foot += share * at.at.point;
-  }
   contact.share_count = static_cast<std::int32_t>(best.count);
+  for (std::size_t s = 0; s < best.count; ++s) {
+    const Foot& at = *foot[best.facet[s]];
+    part.shares.push_back({at.facet, best.lambda[s] / sum, at.at.weights, at.at.point});
+  }
 }
 
 // The spring of the contact that this one was at the last step: of the same pebble, on a facet that is the same or
 // shares a node, with the most similar normal.
-ContactHistory InterfaceFacets::inherited(const FacetContact& contact, const Vec3& normal, std::size_t first,
-                                          std::size_t last) {
-  double most_similar = std::cos(merge_angle);
+ContactHistory InterfaceFacets::inherited(std::int32_t facet, const Vec3& normal, std::size_t first, std::size_t last) {
+  static const double least_similar = std::cos(merge_angle);
+  double most_similar = least_similar;
   std::size_t heir_of = last;
   for (std::size_t i = first; i < last; ++i) {
     if (is_inherited_[i]) continue;
-    const double similarity = previous_[i].history.normal.dot(normal);
+    const Contact& previous = previous_[i];
+    const double similarity = previous.history.normal.dot(normal);
     if (similarity <= most_similar) continue;
-    bool is_near = false;
-    for (std::int32_t s = 0; s < previous_[i].share_count && !is_near; ++s)
-      is_near = are_adjacent(contact.shares[0].facet, previous_[i].shares[static_cast<std::size_t>(s)].facet);
+    const Share* share = &previous_shares_[static_cast<std::size_t>(previous.first_share)];
+    const bool is_near = std::any_of(share, share + previous.share_count, [&](const Share& of_it) {
+      return facet == of_it.facet || are_adjacent(facet, of_it.facet);
+    });
     if (!is_near) continue;
     most_similar = similarity;
     heir_of = i;
@@ -560,148 +584,185 @@ ContactHistory InterfaceFacets::inherited(const FacetContact& contact, const Vec
   return previous_[heir_of].history;
 }
 
-// I^-1 of four real nodes, and their mean.
-Mat3 InterfaceFacets::inverse_spread(const std::array<std::int32_t, 4>& nodes, Vec3& mean) const {
-  mean = Vec3::Zero();
-  for (const std::int32_t node : nodes) mean += 0.25 * contact_position_[node];
-  Mat3 spread = Mat3::Zero();
-  for (const std::int32_t node : nodes) {
-    const Vec3 r = contact_position_[node] - mean;
-    spread += r.squaredNorm() * Mat3::Identity() - r * r.transpose();
+// Mean, I^-1 and spin of the nodes of each real facet.
+void InterfaceFacets::find_turns() {
+  turns_.resize(real_facet_count_);
+  for (std::size_t f = 0; f < real_facet_count_; ++f) {
+    Turn& turn = turns_[f];
+    turn.mean = Vec3::Zero();
+    for (const std::int32_t node : facet_nodes_[f]) turn.mean += 0.25 * place_of(node);
+    Mat3 spread = Mat3::Zero();
+    Vec3 turning = Vec3::Zero();
+    for (const std::int32_t node : facet_nodes_[f]) {
+      const Vec3 r = place_of(node) - turn.mean;
+      spread += r.squaredNorm() * Mat3::Identity() - r * r.transpose();
+      turning += r.cross(velocity_of(node));
+    }
+    turn.inverse = spread.inverse();
+    turn.spin = turn.inverse * turning;
   }
-  return spread.inverse();
 }
 
-// From where eq. (13) lets each share's force act to the contact point.
-void InterfaceFacets::find_levers(FacetContact& contact) const {
-  for (std::int32_t s = 0; s < contact.share_count; ++s) {
-    FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
-    share.lever = contact.point;
-    for (std::size_t j = 0; j < 4; ++j)
-      share.lever -= share.weights[j] * contact_position_[real_node_[facets_[share.facet].nodes[j]]];
-  }
+// From where eq. (13) lets the share's force act to the contact point.
+void InterfaceFacets::find_lever(const Vec3& point, Share& share) const {
+  share.lever = point;
+  for (std::size_t j = 0; j < 4; ++j) share.lever -= share.weights[j] * place_of(facets_[share.facet].real_nodes[j]);
 }
 
 // Eq. (13): each node of each facet of the contact takes its share of the force on the facet and of the stiffness.
-void InterfaceFacets::load_nodes(const FacetContact& contact, bool transfers_moment) {
-  for (std::int32_t s = 0; s < contact.share_count; ++s) {
-    const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
-    const Facet& facet = facets_[share.facet];
+void InterfaceFacets::load_nodes(const Contact& contact, const Share* shares, bool transfers_moment) {
+  for (const Share* share = shares; share != shares + contact.share_count; ++share) {
+    const Facet& facet = facets_[share->facet];
     for (std::size_t j = 0; j < 4; ++j) {
-      const double weight = share.share * share.weights[j];
-      const std::int32_t node = real_node_[facet.nodes[j]];
-      nodal_force_[node] -= weight * contact.force;
-      node_stiffness_[node] += weight * contact.normal_stiffness;
+      const double weight = share->share * share->weights[j];
+      nodal_force_[facet.real_nodes[j]] -= weight * contact.force;
+      node_stiffness_[facet.real_nodes[j]] += weight * contact.normal_stiffness;
     }
+    const Vec3 force = share->share * contact.force;
     if (transfers_moment) {
-      const std::array<std::int32_t, 4>& nodes = facets_[facet.below].nodes;
-      Vec3 mean;
-      const Mat3 inverse = inverse_spread(nodes, mean);
-      const Vec3 turn = inverse * share.lever.cross(share.share * contact.force);
-      for (const std::int32_t node : nodes) nodal_force_[node] -= turn.cross(contact_position_[node] - mean);
+      const Turn& turn = turns_[facet.below];
+      const Vec3 about = turn.inverse * share->lever.cross(force);
+      for (const std::int32_t node : facet_nodes_[facet.below])
+        nodal_force_[node] -= about.cross(place_of(node) - turn.mean);
     }
-    facet_force_[facet.below] -= share.share * contact.force;
-    facet_stiffness_[facet.below] += share.share * contact.normal_stiffness;
+    facet_force_[facet.below] -= force;
+    facet_stiffness_[facet.below] += share->share * contact.normal_stiffness;
   }
 }
 
-void FacetTotals::add(const FacetTotals& other) {
-  contacts += other.contacts, tunnelled += other.tunnelled;
-  particle_force += other.particle_force;
-  particle_moment += other.particle_moment;
-  normal_force += other.normal_force;
-  neglected_moment += other.neglected_moment;
-  elastic_energy += other.elastic_energy;
-  slip_work += other.slip_work, dashpot_work += other.dashpot_work;
-  power += other.power;
-  max_overlap = std::max(max_overlap, other.max_overlap);
-}
-
 // The contact's force, on its body at once.
-FacetTotals InterfaceFacets::load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt,
-                                  double radius, bool transfers_moment, FacetContact& contact) const {
+InterfaceFacets::Sums InterfaceFacets::load(Particles& particles, const ContactMaterial& law, const Vec3& normal,
+                                            double dt, double radius, bool transfers_moment, const Share* shares,
+                                            Contact& contact) const {
   Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
-  for (std::int32_t s = 0; s < contact.share_count; ++s) {
-    const FacetContact::Share& share = contact.shares[static_cast<std::size_t>(s)];
-    for (std::size_t j = 0; j < 4; ++j) {
-      const std::int32_t node = real_node_[facets_[share.facet].nodes[j]];
-      facet_velocity += share.share * share.weights[j] * (velocity_[node] + offset_velocity_[node]);
-    }
-    if (!transfers_moment) continue;
-    const std::array<std::int32_t, 4>& nodes = facets_[facets_[share.facet].below].nodes;
-    Vec3 mean, turning = Vec3::Zero();
-    const Mat3 inverse = inverse_spread(nodes, mean);
-    for (const std::int32_t node : nodes)
-      turning += (contact_position_[node] - mean).cross(velocity_[node] + offset_velocity_[node]);
-    facet_velocity += share.share * (inverse * turning).cross(share.lever);
+  for (const Share* share = shares; share != shares + contact.share_count; ++share) {
+    for (std::size_t j = 0; j < 4; ++j)
+      facet_velocity += share->share * share->weights[j] * velocity_of(facet_nodes_[share->facet][j]);
+    if (transfers_moment)
+      facet_velocity += share->share * turns_[facets_[share->facet].below].spin.cross(share->lever);
   }
   const Vec3 approach = facet_velocity - particles.velocity_at(contact.body, contact.point);  // eq. 4
   const ContactResult result = contact_force(law, normal, contact.overlap, approach, dt, contact.history);
   contact.force = result.force_on_a;
   particles.add_force(contact.body, contact.point, contact.force);  // eq. 12
 
-  FacetTotals totals;
-  totals.contacts = 1;
-  totals.particle_force = contact.force;
-  totals.particle_moment = contact.point.cross(contact.force);
-  totals.normal_force = result.normal_force;
   const Vec3 shear = contact.force - contact.force.dot(normal) * normal;
-  totals.neglected_moment = transfers_moment ? 0.0 : 0.5 * contact.overlap * shear.norm();
-  totals.elastic_energy = contact_energy(law, contact.overlap, contact.history);
-  totals.slip_work = result.slip_work;
-  totals.dashpot_work = result.dashpot_power * dt;
-  totals.power = contact.force.dot(facet_velocity);
-  totals.max_overlap = contact.overlap / radius;
-  return totals;
+  return {result.normal_force,
+          transfers_moment ? 0.0 : 0.5 * contact.overlap * shear.norm(),
+          contact_energy(law, contact.overlap, contact.history),
+          result.slip_work,
+          result.dashpot_power * dt,
+          contact.force.dot(facet_velocity),
+          contact.overlap / radius};
 }
 
 void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& material, double dt,
                                     const PebbleRange& range, Part& part) {
-  part.contacts.clear(), part.totals.clear();
+  part.contacts.clear(), part.shares.clear(), part.sums.clear();
   part.tunnelled = 0;
-  const auto [begin, end] = candidates_.within(range);
+  const FacetSurface surface = {particles.pebbles(), nodes_.data(), slabs_.data(),
+                                reinterpret_cast<const std::int32_t(*)[4]>(facet_nodes_.data())};
+  const FacetPairs pairs = {pair_pebble_.data(), candidates_.extras().data()};
+  const double drift = travel_ - box_travel_, slab_drift = drift + slab_slack * smallest_;
+
   // Previous contacts of a pebble: [first, last).
   std::size_t first = static_cast<std::size_t>(
       std::partition_point(previous_.begin(), previous_.end(),
-                           [&](const FacetContact& contact) { return contact.pebble < range.begin; }) -
+                           [&](const Contact& contact) { return contact.pebble < range.begin; }) -
       previous_.begin());
-  for (std::size_t i = begin; i < end; ++i) {
-    const std::int32_t id = candidates_.pebble(i);
-    const auto pebble = static_cast<std::size_t>(id);
-    const Vec3& center = particles.pebble_center(pebble);
-    const double radius = particles.pebble_radius(pebble);
-    find_feet(candidates_.extra(i), candidates_.extra_count(i), center, radius, part);
-    if (part.minima.empty()) continue;
-
-    while (first < previous_.size() && previous_[first].pebble < id) ++first;
-    std::size_t last = first;
-    while (last < previous_.size() && previous_[last].pebble == id) ++last;
-
-    const std::int32_t body = particles.pebble_body(pebble);
-    ContactMaterial law;
-    law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
-    law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
-    law.friction = material.friction;
-    law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(body));
-
-    bool is_tunnelled = false;
-    for (std::size_t seed = 0; seed < part.minima.size(); ++seed) {
-      if (part.minima[seed].is_taken) continue;
-      FacetContact contact;
-      merge(part.minima, seed, radius, contact);
-      is_tunnelled |= part.minima[seed].distance < -tunnel_depth * radius;
-      contact.pebble = id;
-      contact.body = body;
-      contact.normal_stiffness = law.normal_stiffness;
-      contact.shear_stiffness = law.shear_stiffness;
-      const Vec3 normal = contact.history.normal;  // from grain to facet
-      contact.history = inherited(contact, normal, first, last);
-      contact.point = center + (radius - 0.5 * contact.overlap) * normal;  // eq. 1
-      if (material.transfers_moment) find_levers(contact);
-      part.totals.push_back(load(particles, law, normal, dt, radius, material.transfers_moment, contact));
-      part.contacts.push_back(contact);
+  std::size_t last = first;
+  const auto find_previous = [&](std::int32_t pebble) {
+    for (first = last; first < previous_.size() && previous_[first].pebble < pebble; ++first) {
     }
-    if (is_tunnelled) ++part.tunnelled;
+    for (last = first; last < previous_.size() && previous_[last].pebble == pebble; ++last) {
+    }
+  };
+
+  const auto press = [&](std::int32_t pebble, const ContactMaterial& law, const Vec3& center, double radius, Contact& contact) {
+    const Vec3 normal = contact.history.normal;  // from grain to facet
+    contact.pebble = pebble;
+    contact.first_share = static_cast<std::int32_t>(part.shares.size()) - contact.share_count;
+    Share* shares = &part.shares[static_cast<std::size_t>(contact.first_share)];
+    contact.normal_stiffness = law.normal_stiffness;
+    contact.shear_stiffness = law.shear_stiffness;
+    contact.history = inherited(shares->facet, normal, first, last);
+    contact.point = center + (radius - 0.5 * contact.overlap) * normal;  // eq. 1
+    if (material.transfers_moment)
+      for (std::int32_t s = 0; s < contact.share_count; ++s) find_lever(contact.point, shares[s]);
+    part.sums.push_back(load(particles, law, normal, dt, radius, material.transfers_moment, shares, contact));
+  };
+
+  const auto [begin, end] = candidates_.within(range);
+  for (std::size_t block = begin; block < end; block += candidate_block) {
+    const std::int32_t first_pair = candidates_.extra_begin(block),
+                       end_pair = candidates_.extra_begin(std::min(block + candidate_block, end));
+    const auto room = static_cast<std::size_t>(end_pair - first_pair + facet_block);
+    if (part.near.size() < room) part.near.resize(room), part.face_feet.resize(room), part.is_known.resize(room);
+    const std::int32_t count = kernels_.find_near(surface, pairs, first_pair, end_pair, slab_drift, part.near.data());
+    for (std::int32_t k = 0; k < count; ++k) {
+      const std::int32_t body = particles.pebble_body(static_cast<std::size_t>(pair_pebble_[part.near[k]]));
+      __builtin_prefetch(&particles.bodies()[body]);
+      __builtin_prefetch(&particles.motion()[body]);
+      __builtin_prefetch(&particles.loads()[body], 1);
+    }
+    kernels_.find_feet(surface, pairs, part.near.data(), count, part.face_feet.data(), part.is_known.data());
+
+    // The near pairs of a pebble: [k, end_k).
+    for (std::int32_t k = 0, end_k = 0; k < count; k = end_k) {
+      const std::int32_t id = pair_pebble_[part.near[k]];
+      const auto pebble = static_cast<std::size_t>(id);
+      const Vec3 center = particles.pebble_center(pebble);
+      const double radius = particles.pebble_radius(pebble);
+      std::int32_t touching = 0, at = k;
+      bool is_simple = true;
+      for (end_k = k; end_k < count && pair_pebble_[part.near[end_k]] == id; ++end_k) {
+        if (part.is_known[end_k] == FaceContact::Touching)
+          ++touching, at = end_k;
+        else if (part.is_known[end_k] == FaceContact::Unknown)
+          is_simple = is_simple && boxes_[pairs.facet[part.near[end_k]]].distance(center) > radius + drift;
+      }
+      is_simple = is_simple && touching < 2;
+      if (is_simple && touching == 0) continue;
+      if (!is_simple) {
+        find_feet(part.near.data() + k, part.near.data() + end_k, center, radius, part);
+        if (part.minima.empty()) continue;
+      }
+
+      find_previous(id);
+      const std::int32_t body = particles.pebble_body(pebble);
+      ContactMaterial law;
+      law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
+      law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
+      law.friction = material.friction;
+      if (material.damping_ratio > 0)
+        law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(body));
+
+      if (is_simple) {
+        const FaceFoot& foot = part.face_feet[at];
+        part.shares.push_back({pairs.facet[part.near[at]],
+                               1,
+                               {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]},
+                               {foot.x, foot.y, foot.z}});
+        Contact& contact = part.contacts.emplace_back();
+        contact.body = body;
+        contact.share_count = 1;
+        contact.overlap = foot.overlap;
+        contact.history.normal = -Vec3(foot.nx, foot.ny, foot.nz);
+        press(id, law, center, radius, contact);
+        part.tunnelled += foot.distance < -tunnel_depth * radius;
+        continue;
+      }
+      bool is_tunnelled = false;
+      for (std::size_t seed = 0; seed < part.minima.size(); ++seed) {
+        if (part.minima[seed].is_taken) continue;
+        Contact& contact = part.contacts.emplace_back();
+        contact.body = body;
+        merge(part, seed, radius, contact);
+        is_tunnelled |= part.minima[seed].distance < -tunnel_depth * radius;
+        press(id, law, center, radius, contact);
+      }
+      part.tunnelled += is_tunnelled;
+    }
   }
 }
 
@@ -713,9 +774,14 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
   if (travel_ - box_travel_ > box_drift * smallest_) update_boxes();
   if (neighborhoods_.size() != particles.pebble_count()) neighborhoods_.assign(particles.pebble_count(), {});
   renew_candidates(particles, limits, team, partition);
+  for (std::size_t i = 0; i < nodes_.size(); ++i) {
+    const Vec3 v = velocity_[real_node_[i]] + offset_velocity_[real_node_[i]];
+    nodes_[i].vx = v.x(), nodes_[i].vy = v.y(), nodes_[i].vz = v.z();
+  }
+  if (material.transfers_moment) find_turns();
 
-  std::swap(contacts_, previous_);
-  contacts_.clear();
+  std::swap(contacts_, previous_), std::swap(shares_, previous_shares_);
+  contacts_.clear(), shares_.clear();
   is_inherited_.assign(previous_.size(), 0);
   parts_.resize(static_cast<std::size_t>(team.size()));
   team.run([&](int t) {
@@ -729,36 +795,69 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
   std::fill(facet_stiffness_.begin(), facet_stiffness_.end(), 0.0);
   tunnelled_ = 0;
   for (Part& part : parts_) {
-    for (const FacetContact& contact : part.contacts) load_nodes(contact, material.transfers_moment);  // eq. 13
-    for (const FacetTotals& of_one : part.totals) totals.add(of_one);
+    for (std::size_t c = 0; c < part.contacts.size(); ++c) {
+      const Contact& contact = part.contacts[c];
+      load_nodes(contact, &part.shares[static_cast<std::size_t>(contact.first_share)], material.transfers_moment);  // eq. 13
+      const Sums& sums = part.sums[c];
+      totals.particle_force += contact.force;
+      totals.particle_moment += contact.point.cross(contact.force);
+      totals.normal_force += sums.normal_force;
+      totals.neglected_moment += sums.neglected_moment;
+      totals.elastic_energy += sums.elastic_energy;
+      totals.slip_work += sums.slip_work, totals.dashpot_work += sums.dashpot_work;
+      totals.power += sums.power;
+      totals.max_overlap = std::max(totals.max_overlap, sums.overlap_ratio);
+    }
     tunnelled_ += part.tunnelled;
-    if (contacts_.empty())
-      std::swap(contacts_, part.contacts);
-    else
+    if (contacts_.empty()) {
+      std::swap(contacts_, part.contacts), std::swap(shares_, part.shares);
+    } else {
+      const auto before = static_cast<std::int32_t>(shares_.size());
+      for (Contact& contact : part.contacts) contact.first_share += before;
       contacts_.insert(contacts_.end(), part.contacts.begin(), part.contacts.end());
+      shares_.insert(shares_.end(), part.shares.begin(), part.shares.end());
+    }
   }
+  totals.contacts = contacts_.size();
   totals.tunnelled = tunnelled_;
   return totals;
 }
 
 // ---- state
 
+std::vector<FacetContact> InterfaceFacets::contacts() const {
+  std::vector<FacetContact> all;
+  all.reserve(contacts_.size());
+  for (const Contact& c : contacts_) {
+    FacetContact& contact = all.emplace_back();
+    contact.pebble = c.pebble, contact.body = c.body, contact.share_count = c.share_count;
+    std::copy_n(shares_.begin() + c.first_share, c.share_count, contact.shares.begin());
+    contact.point = c.point;
+    for (const Share& share : contact.shares) contact.foot += share.share * share.foot;
+    contact.overlap = c.overlap;
+    contact.normal_stiffness = c.normal_stiffness, contact.shear_stiffness = c.shear_stiffness;
+    contact.force = c.force;
+    contact.history = c.history;
+  }
+  return all;
+}
+
 void InterfaceFacets::hash(Hash& h) const {
   h.add(std::span<const Vec3>(position_));
   h.add(std::span<const Vec3>(offset_));
   h.add(std::span<const Vec3>(velocity_));
   h.add(std::span<const Vec3>(offset_velocity_));
-  for (const FacetContact& contact : contacts_) {
+  for (const Contact& contact : contacts_) {
     h.add(static_cast<std::uint64_t>(contact.pebble));
     for (std::int32_t s = 0; s < contact.share_count; ++s)
-      h.add(static_cast<std::uint64_t>(contact.shares[static_cast<std::size_t>(s)].facet));
+      h.add(static_cast<std::uint64_t>(shares_[static_cast<std::size_t>(contact.first_share + s)].facet));
     h.add(contact.history.spring);
     h.add(contact.history.normal);
   }
 }
 
 void InterfaceFacets::clear_history() {
-  contacts_.clear();
+  contacts_.clear(), shares_.clear();
   neighborhoods_.clear();
   candidates_.forget();
 }
@@ -778,7 +877,13 @@ void InterfaceFacets::restore(const FacetState& state) {
   offset_ = state.offsets;
   velocity_ = state.velocity;
   offset_velocity_ = state.offset_velocity;
-  contacts_ = state.contacts;
+  contacts_.clear(), shares_.clear();
+  for (const FacetContact& c : state.contacts) {
+    contacts_.push_back({c.history, c.pebble, c.body, static_cast<std::int32_t>(shares_.size()), c.share_count, c.point,
+                         c.force, c.overlap, c.normal_stiffness, c.shear_stiffness});
+    shares_.insert(shares_.end(), c.shares.begin(), c.shares.begin() + c.share_count);
+    for (std::int32_t s = 1; s <= c.share_count; ++s) shares_[shares_.size() - static_cast<std::size_t>(s)].foot = c.foot;
+  }
   neighborhoods_.clear();
   candidates_.forget();
   place_nodes();

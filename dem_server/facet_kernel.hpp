@@ -1,0 +1,68 @@
+// Where pebbles touch the faces of facets, eight pebble-facet pairs at a time: the common case of interface_facets.hpp, without its
+// edges and corners. Compiled once for each instruction set, like the pair kernel, with the same bits as closest_point().
+//
+// No includes but records: see there.
+#pragma once
+#include "dem_server/records.hpp"
+
+namespace lockstep::dem {
+
+// One node of the surface in a step.
+struct alignas(64) FacetNode {
+  double x, y, z, unused_x;     // contact geometry, t_n [m]
+  double vx, vy, vz, unused_v;  // t_{n-1/2} [m/s]
+};
+
+// The slab that a facet lies in.
+struct alignas(64) FacetSlab {
+  double x, y, z, half;          // a point of its middle plane; half its thickness [m]
+  double nx, ny, nz, unused_n;  // unit normal
+};
+
+struct FacetSurface {
+  const SphereRecord* pebbles;
+  const FacetNode* nodes;
+  const FacetSlab* slabs;
+  const std::int32_t (*corners)[4];  // nodes of each facet
+};
+
+// Pairs of a pebble and a facet that it might touch.
+struct FacetPairs {
+  const std::int32_t* pebble;
+  const std::int32_t* facet;
+};
+
+enum class FaceContact : std::int32_t {
+  None,      // the foot lies inside the face, and the pebble does not reach it
+  Touching,  // the foot lies inside the face, and the pebble reaches it
+  Unknown    // on an edge or a corner, or the facet is too warped: ask closest_point()
+};
+
+// The foot of a pebble on a facet, where it lies inside the face.
+struct alignas(32) FaceFoot {
+  double weight[4];   // N_j
+  double x, y, z;     // [m]
+  double distance;    // along the normal; negative behind the surface [m]
+  double nx, ny, nz;  // unit normal, into the grains
+  double overlap;     // [m]
+};
+
+inline constexpr int facet_block = 8;
+
+struct FacetKernels {
+  // Writes those pairs of [begin, end) whose pebble reaches into the facet's slab to `near` and returns how many they are. Nodes
+  // have moved by no more than `drift` since the slabs were made [m].
+  std::int32_t (*find_near)(const FacetSurface&, const FacetPairs&, std::int32_t begin, std::int32_t end, double drift,
+                            std::int32_t* near);
+  // The feet of `count` pairs `near`.
+  void (*find_feet)(const FacetSurface&, const FacetPairs&, std::int32_t* near, std::int32_t count, FaceFoot* feet,
+                    FaceContact* contacts);
+  // All three arrays need room for facet_block more than there are.
+};
+
+// One for each instruction set; not there where this build has it not.
+FacetKernels facet_kernel_generic();
+FacetKernels facet_kernel_avx2();
+FacetKernels facet_kernel_avx512();
+
+}  // namespace lockstep::dem
