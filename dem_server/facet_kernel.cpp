@@ -18,36 +18,45 @@ LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
 LOCKSTEP_INLINE Lanes size_of(Lanes v) { return larger(v, -v); }
 LOCKSTEP_INLINE Lanes3 over(const Lanes3& a, Lanes s) { return {a.x / s, a.y / s, a.z / s}; }
 
-std::int32_t find_near(const FacetSurface& s, const FacetPairs& pairs, std::int32_t begin, std::int32_t end, double drift,
+std::int32_t find_near(const FacetSurface& s, const FacetPairs& pairs, std::int32_t begin, std::int32_t end, double reach,
                        std::int32_t* near) {
   std::int32_t count = 0;
   for (std::int32_t k = begin; k < end; k += width) {
-    Row rows[width];
-    const auto pair = [&](int l) { return k + l < end ? k + l : end - 1; };
-    for (int l = 0; l < width; ++l)
-      rows[l] = row(&s.pebbles[pairs.pebble[pair(l)]].x) - row(&s.slabs[pairs.facet[pair(l)]].x) * Row{1, 1, 1, -1};
-    const Lanes4 gap = transpose(rows);
-    for (int l = 0; l < width; ++l) rows[l] = row(&s.slabs[pairs.facet[pair(l)]].nx);
-    const Lanes4 normal = transpose(rows);
-    const unsigned is_near = bits(size_of(dot(xyz(gap), xyz(normal))) <= gap.w + drift);
     const int filled = end - k < width ? end - k : width;
+    const FacetBox* box[width];
+    Row rows[width];
+    for (int l = 0; l < width; ++l) {
+      const std::int32_t pair = k + (l < filled ? l : 0);
+      box[l] = &s.boxes[pairs.facet[pair]];
+      rows[l] = row(&s.pebbles[pairs.pebble[pair]].x) - row(&box[l]->x) * Row{1, 1, 1, 0};
+    }
+    const Lanes4 gap = transpose(rows);
+    Lanes square{};
+    for (int a = 0; a < 3; ++a) {
+      for (int l = 0; l < width; ++l) rows[l] = row(&box[l]->axis[a].x);
+      const Lanes4 axis = transpose(rows);
+      const Lanes outside = larger(lanes(0), size_of(dot(xyz(gap), xyz(axis))) - axis.w);
+      square += outside * outside;
+    }
+    const unsigned is_near = bits(square <= (gap.w + reach) * (gap.w + reach));
     for (int l = 0; l < filled; ++l) near[count] = k + l, count += is_near >> l & 1;
   }
   return count;
 }
 
 // The foot by Newton's method from that on the parallelogram, all as closest_point() does it.
-LOCKSTEP_INLINE void find_feet(const FacetSurface& s, const FacetPairs& pairs, const std::int32_t* near, FaceFoot* feet,
-                               FaceContact* contacts) {
+LOCKSTEP_INLINE void find_feet(const FacetSurface& s, const FacetPairs& pairs, const std::int32_t* near, int filled,
+                               FaceFoot* feet, FaceContact* contacts) {
   Row rows[width];
   const std::int32_t* nodes[width];
-  for (int l = 0; l < width; ++l) nodes[l] = s.corners[pairs.facet[near[l]]];
+  const auto pair = [&](int l) { return near[l < filled ? l : 0]; };
+  for (int l = 0; l < width; ++l) nodes[l] = s.corners[pairs.facet[pair(l)]];
   Lanes3 x[4];
   for (int j = 0; j < 4; ++j) {
     for (int l = 0; l < width; ++l) rows[l] = row(&s.nodes[nodes[l][j]].x);
     x[j] = xyz(transpose(rows));
   }
-  for (int l = 0; l < width; ++l) rows[l] = row(&s.pebbles[pairs.pebble[near[l]]].x);
+  for (int l = 0; l < width; ++l) rows[l] = row(&s.pebbles[pairs.pebble[pair(l)]].x);
   const Lanes4 pebble = transpose(rows);
   const Lanes3 center = xyz(pebble);
 
@@ -99,10 +108,10 @@ LOCKSTEP_INLINE void find_feet(const FacetSurface& s, const FacetPairs& pairs, c
                                         : FaceContact::None;
 }
 
-void find_all_feet(const FacetSurface& s, const FacetPairs& pairs, std::int32_t* near, std::int32_t count, FaceFoot* feet,
-                   FaceContact* contacts) {
-  for (int l = 0; l < block && count > 0; ++l) near[count + l] = near[count - 1];
-  for (std::int32_t k = 0; k < count; k += width) find_feet(s, pairs, near + k, feet + k, contacts + k);
+void find_all_feet(const FacetSurface& s, const FacetPairs& pairs, const std::int32_t* near, std::int32_t count,
+                   FaceFoot* feet, FaceContact* contacts) {
+  for (std::int32_t k = 0; k < count; k += width)
+    find_feet(s, pairs, near + k, count - k < width ? count - k : width, feet + k, contacts + k);
 }
 
 }  // namespace

@@ -13,16 +13,18 @@ struct alignas(64) FacetNode {
   double vx, vy, vz, unused_v;  // t_{n-1/2} [m/s]
 };
 
-// The slab that a facet lies in.
-struct alignas(64) FacetSlab {
-  double x, y, z, half;          // a point of its middle plane; half its thickness [m]
-  double nx, ny, nz, unused_n;  // unit normal
+// A box in a facet's own frame that holds it.
+struct alignas(64) FacetBox {
+  double x, y, z, unused;  // its centre [m]
+  struct Axis {
+    double x, y, z, half;  // unit, orthogonal; half the extent along it [m]
+  } axis[3];
 };
 
 struct FacetSurface {
   const SphereRecord* pebbles;
   const FacetNode* nodes;
-  const FacetSlab* slabs;
+  const FacetBox* boxes;
   const std::int32_t (*corners)[4];  // nodes of each facet
 };
 
@@ -50,14 +52,14 @@ struct alignas(32) FaceFoot {
 inline constexpr int facet_block = 8;
 
 struct FacetKernels {
-  // Writes those pairs of [begin, end) whose pebble reaches into the facet's slab to `near` and returns how many they are. Nodes
-  // have moved by no more than `drift` since the slabs were made [m].
-  std::int32_t (*find_near)(const FacetSurface&, const FacetPairs&, std::int32_t begin, std::int32_t end, double drift,
+  // Writes those pairs of [begin, end) whose pebble comes nearer to the facet's box than its radius and `reach` more [m] to `near`,
+  // and returns how many they are.
+  std::int32_t (*find_near)(const FacetSurface&, const FacetPairs&, std::int32_t begin, std::int32_t end, double reach,
                             std::int32_t* near);
   // The feet of `count` pairs `near`.
-  void (*find_feet)(const FacetSurface&, const FacetPairs&, std::int32_t* near, std::int32_t count, FaceFoot* feet,
+  void (*find_feet)(const FacetSurface&, const FacetPairs&, const std::int32_t* near, std::int32_t count, FaceFoot* feet,
                     FaceContact* contacts);
-  // All three arrays need room for facet_block more than there are.
+  // What is written needs room for facet_block more than there are.
 };
 
 // One for each instruction set; not there where this build has it not.

@@ -16,10 +16,10 @@ namespace {
 constexpr double skin = 0.5;
 // Boxes are made anew when nodes may have moved by this share of the smallest facet.
 constexpr double box_drift = 0.001;
-// What rounding may take from a distance to a slab, over the smallest facet.
-constexpr double slab_slack = 1e-9;
-// Candidates that are looked at together, so that what they gather stays near.
-constexpr std::size_t candidate_block = 64;
+// What rounding may take from a distance to a box, over the smallest facet.
+constexpr double box_slack = 1e-9;
+// Pairs that are looked at together: what the next block gathers of its bodies is under way meanwhile.
+constexpr std::int32_t pair_block = 32;
 // A centre deeper than this times R behind the surface counts as tunnelled.
 constexpr double tunnel_depth = 0.5;
 // Closer to an edge than this times R, the direction from the edge to the centre is round-off: the facets' normals
@@ -127,12 +127,14 @@ FacetPoint finish(const FacetCorners& x, const Vec3& center, const Parameters& p
   return out;
 }
 
-FacetKernels kernels_of([[maybe_unused]] InstructionSet set) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return facet_kernel_avx512();
-  if (set == InstructionSet::Avx2) return facet_kernel_avx2();
-#endif
-  return facet_kernel_generic();
+double distance(const FacetBox& box, const Vec3& point) {
+  const Vec3 d = point - Vec3(box.x, box.y, box.z);
+  double squared = 0;
+  for (const FacetBox::Axis& axis : box.axis) {
+    const double outside = std::max(0.0, std::abs(d.dot(Vec3(axis.x, axis.y, axis.z))) - axis.half);
+    squared += outside * outside;
+  }
+  return std::sqrt(squared);
 }
 
 }  // namespace
@@ -184,9 +186,17 @@ FacetPoint closest_point(const FacetCorners& x, const Vec3& center) {
 
 // ---------------------------------------------------------------------------------------------------- the surface
 
+FacetKernels facet_kernels([[maybe_unused]] InstructionSet instructions) {
+#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+  if (instructions == InstructionSet::Avx512) return facet_kernel_avx512();
+  if (instructions == InstructionSet::Avx2) return facet_kernel_avx2();
+#endif
+  return facet_kernel_generic();
+}
+
 InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets,
-                                 double collar_height, InstructionSet instructions)
-    : kernels_(kernels_of(instructions)),
+                                 double collar_height, FacetKernels kernels)
+    : kernels_(kernels),
       position_(nodes),
       collar_height_(collar_height),
       facet_nodes_(facets),
@@ -258,7 +268,6 @@ InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::arra
   facet_force_.assign(real_facet_count_, Vec3::Zero());
   facet_stiffness_.assign(real_facet_count_, 0.0);
   boxes_.resize(facets_.size());
-  slabs_.resize(facets_.size());
   spheres_.resize(facets_.size());
   place_nodes();
   update_boxes();
@@ -331,35 +340,24 @@ std::uint64_t InterfaceFacets::position_hash() const {
 
 // ---- which facets a pebble may touch
 
-double InterfaceFacets::Box::distance(const Vec3& point) const {
-  const Vec3 d = point - center;
-  double squared = 0;
-  for (int k = 0; k < 3; ++k) {
-    const double outside = std::max(0.0, std::abs(d.dot(axis[k])) - half[k]);
-    squared += outside * outside;
-  }
-  return std::sqrt(squared);
-}
-
 void InterfaceFacets::update_boxes() {
   for (std::size_t f = 0; f < facets_.size(); ++f) {
     const FacetCorners x = corners(f);
-    Box& box = boxes_[f];
-    box.center = spheres_[f].center = interpolate(bilinear_weights(0, 0), x);
+    const Vec3 center = interpolate(bilinear_weights(0, 0), x);
     // The diagonals span the plane of the mean normal; a facet lies inside the hull of its corners.
-    box.axis[2] = facet_area_vector(x).normalized();
+    std::array<Vec3, 3> axis;
+    axis[2] = facet_area_vector(x).normalized();
     const Vec3 along = facet_tangent_xi(x, 0);
-    box.axis[0] = (along - along.dot(box.axis[2]) * box.axis[2]).normalized();
-    box.axis[1] = box.axis[2].cross(box.axis[0]);
-    box.half.setZero();
-    spheres_[f].radius = 0;
-    for (const Vec3& corner : x) {
-      const Vec3 d = corner - box.center;
-      for (int k = 0; k < 3; ++k) box.half[k] = std::max(box.half[k], std::abs(d.dot(box.axis[k])));
-      spheres_[f].radius = std::max(spheres_[f].radius, d.norm());
+    axis[0] = (along - along.dot(axis[2]) * axis[2]).normalized();
+    axis[1] = axis[2].cross(axis[0]);
+    boxes_[f] = {center.x(), center.y(), center.z(), 0, {}};
+    spheres_[f] = {center, 0};
+    for (const Vec3& corner : x) spheres_[f].radius = std::max(spheres_[f].radius, (corner - center).norm());
+    for (std::size_t k = 0; k < 3; ++k) {
+      double half = 0;
+      for (const Vec3& corner : x) half = std::max(half, std::abs((corner - center).dot(axis[k])));
+      boxes_[f].axis[k] = {axis[k].x(), axis[k].y(), axis[k].z(), half};
     }
-    const Vec3 &at = box.center, &n = box.axis[2];
-    slabs_[f] = {at.x(), at.y(), at.z(), box.half[2], n.x(), n.y(), n.z(), 0};
   }
   box_travel_ = travel_;
 
@@ -375,11 +373,11 @@ void InterfaceFacets::list_facets(Neighborhood& near, const Vec3& center, double
   for (std::size_t f = 0; f < spheres_.size(); ++f) {
     const double far = nearest_unlisted + spheres_[f].radius;
     if ((center - spheres_[f].center).squaredNorm() >= far * far) continue;
-    const double distance = boxes_[f].distance(center);
-    if (distance < listed)
+    const double away = distance(boxes_[f], center);
+    if (away < listed)
       near.facets.push_back(static_cast<std::int32_t>(f));
     else
-      nearest_unlisted = std::min(nearest_unlisted, distance);
+      nearest_unlisted = std::min(nearest_unlisted, away);
   }
   near.center = center;
   near.reach = nearest_unlisted - drift + travel_;
@@ -399,12 +397,15 @@ void InterfaceFacets::renew_candidates(const Particles& particles, const TravelL
                         list_facets(near, center, reach);
                       const std::size_t before = touchable.size();
                       for (const std::int32_t facet : near.facets)
-                        if (boxes_[facet].distance(center) <= reach + drift) touchable.push_back(facet);
+                        if (distance(boxes_[facet], center) <= reach + drift) touchable.push_back(facet);
                       return touchable.size() > before;
                     });
-  pair_pebble_.resize(candidates_.extras().size());
-  for (std::size_t i = 0; i < candidates_.size(); ++i)
-    std::fill_n(pair_pebble_.begin() + candidates_.extra_begin(i), candidates_.extra_count(i), candidates_.pebble(i));
+  pair_pebble_.clear(), pair_body_.clear();
+  for (std::size_t i = 0; i < candidates_.size(); ++i) {
+    const std::int32_t pebble = candidates_.pebble(i);
+    pair_pebble_.insert(pair_pebble_.end(), candidates_.extra_count(i), pebble);
+    pair_body_.insert(pair_body_.end(), candidates_.extra_count(i), particles.pebble_body(pebble));
+  }
 }
 
 // ---- where a pebble touches
@@ -463,19 +464,16 @@ void InterfaceFacets::set_side(Foot& foot, const Vec3& center, double radius, co
   foot.normal = away / foot.distance;
 }
 
-// Local minima of the distance to the surface, nearest first, of a pebble and the facets that it may touch.
-void InterfaceFacets::find_feet(const std::int32_t* pairs, const std::int32_t* end, const Vec3& center, double radius,
+// Local minima of the distance to the surface, nearest first, of a pebble in its pairs [near, end).
+void InterfaceFacets::find_feet(const std::int32_t* near, const std::int32_t* end, const Vec3& center, double radius,
                                 Part& part) const {
   std::vector<Foot>&feet = part.feet, &minima = part.minima;
   feet.clear();
   minima.clear();
-  const double drift = travel_ - box_travel_;
-  for (; pairs != end; ++pairs) {
-    const std::int32_t facet = candidates_.extras()[static_cast<std::size_t>(*pairs)];
-    if (boxes_[facet].distance(center) > radius + drift) continue;
+  for (; near != end; ++near) {
     Foot foot;
-    foot.at = closest_point(corners(facet), center);
-    foot.facet = facet;
+    foot.facet = candidates_.extras()[static_cast<std::size_t>(*near)];
+    foot.at = closest_point(corners(foot.facet), center);
     if (foot.at.distance < radius) feet.push_back(foot);
   }
   std::sort(feet.begin(), feet.end(), [](const Foot& a, const Foot& b) {
@@ -497,7 +495,7 @@ void InterfaceFacets::find_feet(const std::int32_t* pairs, const std::int32_t* e
 }
 
 // Makes one contact of the minimum `seed` and of those that lie with it in a smooth concave part of the surface.
-void InterfaceFacets::merge(Part& part, std::size_t seed, double radius, Contact& contact) const {
+InterfaceFacets::Push InterfaceFacets::merge(Part& part, std::size_t seed, double radius) const {
   std::vector<Foot>& minima = part.minima;
   static const double cos_merge_angle = std::cos(merge_angle);
   std::array<const Foot*, max_merged> foot{};
@@ -516,7 +514,7 @@ void InterfaceFacets::merge(Part& part, std::size_t seed, double radius, Contact
 
   // The shortest t with n_i . t >= U_i for all i is t = sum lambda_i n_i, lambda >= 0 where n_i . t = U_i, at most
   // three of them. Any such combination that fits its own U_i is no longer than t (duality), so the longest is it.
-  struct Push {
+  struct Combination {
     std::array<std::size_t, 3> facet{};
     std::array<double, 3> lambda{1, 0, 0};
     std::size_t count = 1;
@@ -551,22 +549,20 @@ void InterfaceFacets::merge(Part& part, std::size_t seed, double radius, Contact
     }
 
   const double sum = best.lambda[0] + best.lambda[1] + best.lambda[2];
-  contact.overlap = best.length;
-  contact.history.normal = -best.direction;
-  contact.share_count = static_cast<std::int32_t>(best.count);
   for (std::size_t s = 0; s < best.count; ++s) {
     const Foot& at = *foot[best.facet[s]];
     part.shares.push_back({at.facet, best.lambda[s] / sum, at.at.weights, at.at.point});
   }
+  return {best.length, -best.direction, static_cast<std::int32_t>(best.count)};
 }
 
 // The spring of the contact that this one was at the last step: of the same pebble, on a facet that is the same or
 // shares a node, with the most similar normal.
-ContactHistory InterfaceFacets::inherited(std::int32_t facet, const Vec3& normal, std::size_t first, std::size_t last) {
+ContactHistory InterfaceFacets::inherited(const Toucher& pebble, std::int32_t facet, const Vec3& normal) {
   static const double least_similar = std::cos(merge_angle);
   double most_similar = least_similar;
-  std::size_t heir_of = last;
-  for (std::size_t i = first; i < last; ++i) {
+  std::size_t heir_of = pebble.end_previous;
+  for (std::size_t i = pebble.first_previous; i < pebble.end_previous; ++i) {
     if (is_inherited_[i]) continue;
     const Contact& previous = previous_[i];
     const double similarity = previous.history.normal.dot(normal);
@@ -579,7 +575,7 @@ ContactHistory InterfaceFacets::inherited(std::int32_t facet, const Vec3& normal
     most_similar = similarity;
     heir_of = i;
   }
-  if (heir_of == last) return {};
+  if (heir_of == pebble.end_previous) return {};
   is_inherited_[heir_of] = 1;
   return previous_[heir_of].history;
 }
@@ -630,136 +626,123 @@ void InterfaceFacets::load_nodes(const Contact& contact, const Share* shares, bo
   }
 }
 
-// The contact's force, on its body at once.
-InterfaceFacets::Sums InterfaceFacets::load(Particles& particles, const ContactMaterial& law, const Vec3& normal,
-                                            double dt, double radius, bool transfers_moment, const Share* shares,
-                                            Contact& contact) const {
+// One contact: its force, on the body at once.
+void InterfaceFacets::press(Particles& particles, const Toucher& pebble, const Push& push, Part& part) {
+  const std::size_t first_share = part.shares.size() - static_cast<std::size_t>(push.share_count);
+  Share* const shares = &part.shares[first_share];
+  Share* const end = shares + push.share_count;
+  const Vec3 point = pebble.center + (pebble.radius - 0.5 * push.overlap) * push.normal;  // eq. 1
+  if (pebble.transfers_moment)
+    for (Share* share = shares; share != end; ++share) find_lever(point, *share);
+
   Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
-  for (const Share* share = shares; share != shares + contact.share_count; ++share) {
+  for (const Share* share = shares; share != end; ++share) {
     for (std::size_t j = 0; j < 4; ++j)
       facet_velocity += share->share * share->weights[j] * velocity_of(facet_nodes_[share->facet][j]);
-    if (transfers_moment)
+    if (pebble.transfers_moment)
       facet_velocity += share->share * turns_[facets_[share->facet].below].spin.cross(share->lever);
   }
-  const Vec3 approach = facet_velocity - particles.velocity_at(contact.body, contact.point);  // eq. 4
-  const ContactResult result = contact_force(law, normal, contact.overlap, approach, dt, contact.history);
-  contact.force = result.force_on_a;
-  particles.add_force(contact.body, contact.point, contact.force);  // eq. 12
+  ContactHistory history = inherited(pebble, shares->facet, push.normal);
+  const Vec3 approach = facet_velocity - particles.velocity_at(pebble.body, point);  // eq. 4
+  const ContactResult result = contact_force(pebble.law, push.normal, push.overlap, approach, pebble.time_step, history);
+  const Vec3& force = result.force_on_a;
+  particles.add_force(pebble.body, point, force);  // eq. 12
 
-  const Vec3 shear = contact.force - contact.force.dot(normal) * normal;
-  return {result.normal_force,
-          transfers_moment ? 0.0 : 0.5 * contact.overlap * shear.norm(),
-          contact_energy(law, contact.overlap, contact.history),
-          result.slip_work,
-          result.dashpot_power * dt,
-          contact.force.dot(facet_velocity),
-          contact.overlap / radius};
+  part.contacts.push_back({history, pebble.pebble, pebble.body, static_cast<std::int32_t>(first_share),
+                           push.share_count, point, force, push.overlap, pebble.law.normal_stiffness,
+                           pebble.law.shear_stiffness});
+  const Vec3 shear = force - force.dot(push.normal) * push.normal;
+  part.sums.push_back({result.normal_force, pebble.transfers_moment ? 0.0 : 0.5 * push.overlap * shear.norm(),
+                       contact_energy(pebble.law, push.overlap, history), result.slip_work,
+                       result.dashpot_power * pebble.time_step, force.dot(facet_velocity),
+                       push.overlap / pebble.radius});
 }
 
+// Pebbles whose feet inside faces are all that they have, one that touches, need no more: 97 of 100 that touch. The others are
+// looked at facet by facet.
 void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& material, double dt,
                                     const PebbleRange& range, Part& part) {
   part.contacts.clear(), part.shares.clear(), part.sums.clear();
   part.tunnelled = 0;
-  const FacetSurface surface = {particles.pebbles(), nodes_.data(), slabs_.data(),
+  const std::int32_t* const facet_of = candidates_.extras().data();
+  const FacetSurface surface = {particles.pebbles(), nodes_.data(), boxes_.data(),
                                 reinterpret_cast<const std::int32_t(*)[4]>(facet_nodes_.data())};
-  const FacetPairs pairs = {pair_pebble_.data(), candidates_.extras().data()};
-  const double drift = travel_ - box_travel_, slab_drift = drift + slab_slack * smallest_;
+  const FacetPairs pairs = {pair_pebble_.data(), facet_of};
+  const auto [first_candidate, end_candidate] = candidates_.within(range);
+  const std::int32_t first_pair = candidates_.extra_begin(first_candidate),
+                     end_pair = candidates_.extra_begin(end_candidate);
+  part.near.resize(static_cast<std::size_t>(end_pair - first_pair + facet_block));
+  std::int32_t* const near = part.near.data();
+  const std::int32_t count = kernels_.find_near(surface, pairs, first_pair, end_pair,
+                                                travel_ - box_travel_ + box_slack * smallest_, near);
 
-  // Previous contacts of a pebble: [first, last).
-  std::size_t first = static_cast<std::size_t>(
+  const auto next_previous = [&](std::size_t i, std::int32_t pebble) {
+    while (i < previous_.size() && previous_[i].pebble < pebble) ++i;
+    return i;
+  };
+  std::size_t previous = static_cast<std::size_t>(
       std::partition_point(previous_.begin(), previous_.end(),
                            [&](const Contact& contact) { return contact.pebble < range.begin; }) -
       previous_.begin());
-  std::size_t last = first;
-  const auto find_previous = [&](std::int32_t pebble) {
-    for (first = last; first < previous_.size() && previous_[first].pebble < pebble; ++first) {
-    }
-    for (last = first; last < previous_.size() && previous_[last].pebble == pebble; ++last) {
-    }
+  const auto toucher = [&](std::int32_t pebble, std::int32_t body, const Vec3& center, double radius) {
+    ContactMaterial law;
+    law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
+    law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
+    law.friction = material.friction;
+    if (material.damping_ratio > 0)
+      law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(body));
+    const std::size_t first_previous = next_previous(previous, pebble);
+    previous = next_previous(first_previous, pebble + 1);
+    return Toucher{pebble, body, center, radius, law, dt, material.transfers_moment, first_previous, previous};
+  };
+  const auto end_of_block = [&](std::int32_t k) {  // no pebble lies in two
+    k = std::min(k + pair_block, count);
+    while (k > 0 && k < count && pair_pebble_[near[k]] == pair_pebble_[near[k - 1]]) ++k;
+    return k;
   };
 
-  const auto press = [&](std::int32_t pebble, const ContactMaterial& law, const Vec3& center, double radius, Contact& contact) {
-    const Vec3 normal = contact.history.normal;  // from grain to facet
-    contact.pebble = pebble;
-    contact.first_share = static_cast<std::int32_t>(part.shares.size()) - contact.share_count;
-    Share* shares = &part.shares[static_cast<std::size_t>(contact.first_share)];
-    contact.normal_stiffness = law.normal_stiffness;
-    contact.shear_stiffness = law.shear_stiffness;
-    contact.history = inherited(shares->facet, normal, first, last);
-    contact.point = center + (radius - 0.5 * contact.overlap) * normal;  // eq. 1
-    if (material.transfers_moment)
-      for (std::int32_t s = 0; s < contact.share_count; ++s) find_lever(contact.point, shares[s]);
-    part.sums.push_back(load(particles, law, normal, dt, radius, material.transfers_moment, shares, contact));
-  };
-
-  const auto [begin, end] = candidates_.within(range);
-  for (std::size_t block = begin; block < end; block += candidate_block) {
-    const std::int32_t first_pair = candidates_.extra_begin(block),
-                       end_pair = candidates_.extra_begin(std::min(block + candidate_block, end));
-    const auto room = static_cast<std::size_t>(end_pair - first_pair + facet_block);
-    if (part.near.size() < room) part.near.resize(room), part.face_feet.resize(room), part.is_known.resize(room);
-    const std::int32_t count = kernels_.find_near(surface, pairs, first_pair, end_pair, slab_drift, part.near.data());
-    for (std::int32_t k = 0; k < count; ++k) {
-      const std::int32_t body = particles.pebble_body(static_cast<std::size_t>(pair_pebble_[part.near[k]]));
+  std::int32_t fetched = 0;
+  for (std::int32_t begin = 0, end = 0; begin < count; begin = end) {
+    end = end_of_block(begin);
+    for (; fetched < std::min(end + pair_block, count); ++fetched) {
+      const std::int32_t body = pair_body_[near[fetched]];
       __builtin_prefetch(&particles.bodies()[body]);
       __builtin_prefetch(&particles.motion()[body]);
       __builtin_prefetch(&particles.loads()[body], 1);
     }
-    kernels_.find_feet(surface, pairs, part.near.data(), count, part.face_feet.data(), part.is_known.data());
+    const auto room = static_cast<std::size_t>(end - begin + facet_block);
+    if (part.face_feet.size() < room) part.face_feet.resize(room), part.face_contacts.resize(room);
+    kernels_.find_feet(surface, pairs, near + begin, end - begin, part.face_feet.data(), part.face_contacts.data());
 
-    // The near pairs of a pebble: [k, end_k).
-    for (std::int32_t k = 0, end_k = 0; k < count; k = end_k) {
-      const std::int32_t id = pair_pebble_[part.near[k]];
-      const auto pebble = static_cast<std::size_t>(id);
-      const Vec3 center = particles.pebble_center(pebble);
-      const double radius = particles.pebble_radius(pebble);
+    for (std::int32_t k = begin, end_k = k; k < end; k = end_k) {
+      const std::int32_t id = pair_pebble_[near[k]];
       std::int32_t touching = 0, at = k;
-      bool is_simple = true;
-      for (end_k = k; end_k < count && pair_pebble_[part.near[end_k]] == id; ++end_k) {
-        if (part.is_known[end_k] == FaceContact::Touching)
-          ++touching, at = end_k;
-        else if (part.is_known[end_k] == FaceContact::Unknown)
-          is_simple = is_simple && boxes_[pairs.facet[part.near[end_k]]].distance(center) > radius + drift;
+      bool is_known = true;
+      for (; end_k < end && pair_pebble_[near[end_k]] == id; ++end_k) {
+        const FaceContact contact = part.face_contacts[static_cast<std::size_t>(end_k - begin)];
+        if (contact == FaceContact::Touching) ++touching, at = end_k;
+        is_known = is_known && contact != FaceContact::Unknown;
       }
-      is_simple = is_simple && touching < 2;
-      if (is_simple && touching == 0) continue;
-      if (!is_simple) {
-        find_feet(part.near.data() + k, part.near.data() + end_k, center, radius, part);
-        if (part.minima.empty()) continue;
-      }
-
-      find_previous(id);
-      const std::int32_t body = particles.pebble_body(pebble);
-      ContactMaterial law;
-      law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
-      law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
-      law.friction = material.friction;
-      if (material.damping_ratio > 0)
-        law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(body));
-
-      if (is_simple) {
-        const FaceFoot& foot = part.face_feet[at];
-        part.shares.push_back({pairs.facet[part.near[at]],
-                               1,
-                               {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]},
-                               {foot.x, foot.y, foot.z}});
-        Contact& contact = part.contacts.emplace_back();
-        contact.body = body;
-        contact.share_count = 1;
-        contact.overlap = foot.overlap;
-        contact.history.normal = -Vec3(foot.nx, foot.ny, foot.nz);
-        press(id, law, center, radius, contact);
+      if (is_known && touching == 0) continue;
+      const Vec3 center = particles.pebble_center(id);
+      const double radius = particles.pebble_radius(id);
+      if (is_known && touching == 1) {
+        const FaceFoot& foot = part.face_feet[static_cast<std::size_t>(at - begin)];
+        part.shares.push_back({facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]},
+                               Vec3(foot.x, foot.y, foot.z)});
+        press(particles, toucher(id, pair_body_[near[k]], center, radius),
+              {foot.overlap, Vec3(-foot.nx, -foot.ny, -foot.nz), 1}, part);
         part.tunnelled += foot.distance < -tunnel_depth * radius;
         continue;
       }
+      find_feet(near + k, near + end_k, center, radius, part);
+      if (part.minima.empty()) continue;
+      const Toucher pebble = toucher(id, pair_body_[near[k]], center, radius);
       bool is_tunnelled = false;
       for (std::size_t seed = 0; seed < part.minima.size(); ++seed) {
         if (part.minima[seed].is_taken) continue;
-        Contact& contact = part.contacts.emplace_back();
-        contact.body = body;
-        merge(part, seed, radius, contact);
         is_tunnelled |= part.minima[seed].distance < -tunnel_depth * radius;
-        press(id, law, center, radius, contact);
+        press(particles, pebble, merge(part, seed, radius), part);
       }
       part.tunnelled += is_tunnelled;
     }

@@ -115,6 +115,8 @@ struct FacetMaterial {
   }
 };
 
+FacetKernels facet_kernels(InstructionSet instructions);
+
 struct FacetTotals {
   std::size_t contacts = 0;
   Vec3 particle_force = Vec3::Zero();   // sum of the facets' forces on the grains [N]
@@ -173,7 +175,7 @@ class InterfaceFacets {
   // `facets` index `nodes`; their order gives the normal into the grains. `collar_height` 0: no collar [m]. InputError
   // when an index is out of range or a facet has no area.
   InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets, double collar_height,
-                  InstructionSet instructions = best_instructions());
+                  FacetKernels kernels = facet_kernels(best_instructions()));
 
   // Continuum's positions: x += v dt, per component and in this order, as the continuum does it, and v becomes the
   // velocity for the contact law. One velocity a node. [m/s], [s]
@@ -233,13 +235,6 @@ class InterfaceFacets {
     std::array<bool, 4> is_open_edge{};        // edge k is used by no other facet
     std::int32_t below = -1;                   // the facet that a force counts for: itself, or the one under the collar
   };
-  // A box in the facet's own frame that holds it, for cheap rejection.
-  struct Box {
-    Vec3 center = Vec3::Zero();  // [m]
-    std::array<Vec3, 3> axis{};  // unit, orthogonal
-    Vec3 half = Vec3::Zero();    // half extents [m]
-    double distance(const Vec3& point) const;
-  };
   struct Sphere {
     Vec3 center = Vec3::Zero();  // [m]
     double radius = 0;           // [m]
@@ -272,16 +267,32 @@ class InterfaceFacets {
       return {body, -1, point, history.normal, overlap, normal_stiffness, shear_stiffness, force};
     }
   };
+  // The shortest push that frees a pebble of the facets of one contact, whose shares are the last ones found.
+  struct Push {
+    double overlap;            // its length [m]
+    Vec3 normal;               // unit, from grain to facet
+    std::int32_t share_count;
+  };
+  // A pebble that touches.
+  struct Toucher {
+    std::int32_t pebble, body;
+    Vec3 center;    // [m]
+    double radius;  // [m]
+    ContactMaterial law;
+    double time_step;                         // [s]
+    bool transfers_moment;
+    std::size_t first_previous, end_previous;  // its contacts of the last step
+  };
   // What a contact adds to the totals beside its force.
   struct Sums {
     double normal_force, neglected_moment, elastic_energy, slip_work, dashpot_work, power, overlap_ratio;
   };
   // What one thread finds in a step; its memory is kept.
   struct Part {
-    std::vector<std::int32_t> near;      // of some candidates: pairs that may touch,
-    std::vector<FaceFoot> face_feet;     // where inside the faces
-    std::vector<FaceContact> is_known;   // and whether
-    std::vector<Foot> feet, minima;      // of one pebble that is not so simple
+    std::vector<std::int32_t> near;          // pairs that may touch
+    std::vector<FaceFoot> face_feet;         // of a block of them
+    std::vector<FaceContact> face_contacts;  // of the same
+    std::vector<Foot> feet, minima;          // of a pebble for which these do not say all
     std::vector<Contact> contacts;
     std::vector<Share> shares;
     std::vector<Sums> sums;  // of each contact
@@ -300,17 +311,16 @@ class InterfaceFacets {
   void update_boxes();
   void list_facets(Neighborhood& near, const Vec3& center, double radius) const;
   void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
-  void find_feet(const std::int32_t* pairs, const std::int32_t* end, const Vec3& center, double radius, Part& part) const;
+  void find_feet(const std::int32_t* near, const std::int32_t* end, const Vec3& center, double radius, Part& part) const;
   bool shares_feature(const Foot& foot, std::int32_t facet) const;
   bool is_open(const Foot& foot) const;
   bool are_adjacent(std::int32_t facet_a, std::int32_t facet_b) const;
   void set_side(Foot& foot, const Vec3& center, double radius, const std::vector<Foot>& feet) const;
-  void merge(Part& part, std::size_t seed, double radius, Contact& contact) const;
+  Push merge(Part& part, std::size_t seed, double radius) const;
   void find_contacts(Particles& particles, const FacetMaterial& material, double dt, const PebbleRange& range,
                      Part& part);
-  Sums load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt, double radius,
-            bool transfers_moment, const Share* shares, Contact& contact) const;
-  ContactHistory inherited(std::int32_t facet, const Vec3& normal, std::size_t first, std::size_t last);
+  void press(Particles& particles, const Toucher& pebble, const Push& push, Part& part);
+  ContactHistory inherited(const Toucher& pebble, std::int32_t facet, const Vec3& normal);
   void find_turns();
   void find_lever(const Vec3& point, Share& share) const;
   void load_nodes(const Contact& contact, const Share* shares, bool transfers_moment);
@@ -333,13 +343,12 @@ class InterfaceFacets {
 
   double travel_ = 0;      // at least as far as any node has moved since the start [m]
   double box_travel_ = 0;  // travel_ when the boxes were made [m]
-  std::vector<Box> boxes_;
-  std::vector<FacetSlab> slabs_;  // of the boxes
+  std::vector<FacetBox> boxes_;
   std::vector<Sphere> spheres_;  // around the facets
   double smallest_ = 0;          // radius of the smallest of them [m]
   std::vector<Neighborhood> neighborhoods_;
   WallCandidates candidates_;  // with the facets that each may touch: pairs
-  std::vector<std::int32_t> pair_pebble_;
+  std::vector<std::int32_t> pair_pebble_, pair_body_;
   double candidate_travel_ = 0;  // travel_ that the candidates know of [m]
 
   std::vector<Contact> contacts_, previous_;
