@@ -8,6 +8,7 @@ namespace {
 
 static_assert(block == facet_block);
 
+constexpr int pairs_ahead = 24;  // whose pebbles are fetched
 // Newton's steps that lanes take together; a face that needs more is left to closest_point().
 constexpr int newton_steps = 4;
 constexpr double last_newton_step = 1e-8;  // as there
@@ -25,6 +26,8 @@ std::int32_t find_near(const FacetSurface& s, const FacetPairs& pairs, std::int3
     const int filled = end - k < width ? end - k : width;
     const FacetBox* box[width];
     Row rows[width];
+    for (int l = 0; l < width; ++l)
+      __builtin_prefetch(&s.pebbles[pairs.pebble[k + l + pairs_ahead < end ? k + l + pairs_ahead : end - 1]]);
     for (int l = 0; l < width; ++l) {
       const std::int32_t pair = k + (l < filled ? l : 0);
       box[l] = &s.boxes[pairs.facet[pair]];
@@ -92,15 +95,12 @@ LOCKSTEP_INLINE void find_feet(const FacetSurface& s, const FacetPairs& pairs, c
   const Lanes3 across = cross(t_xi, t_eta), away = center - foot;
   const Lanes area = square_root(dot(across, across));
   const Lanes3 normal = over(across, area);
-  const Lanes distance = dot(away, normal);
   const unsigned is_inside = bits(has_settled & (larger(size_of(xi), size_of(eta)) < one) & (area > lanes(0)));
   const unsigned reaches = bits(square_root(dot(away, away)) < pebble.w);
 
   transpose({weight[0], weight[1], weight[2], weight[3]}, rows);
   for (int l = 0; l < width; ++l) *reinterpret_cast<Row*>(feet[l].weight) = rows[l];
-  transpose({foot.x, foot.y, foot.z, distance}, rows);
-  for (int l = 0; l < width; ++l) *reinterpret_cast<Row*>(&feet[l].x) = rows[l];
-  transpose({normal.x, normal.y, normal.z, pebble.w - distance}, rows);
+  transpose({normal.x, normal.y, normal.z, pebble.w - dot(away, normal)}, rows);
   for (int l = 0; l < width; ++l) *reinterpret_cast<Row*>(&feet[l].nx) = rows[l];
   for (int l = 0; l < width; ++l)
     contacts[l] = !(is_inside >> l & 1) ? FaceContact::Unknown

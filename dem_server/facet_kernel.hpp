@@ -43,10 +43,8 @@ enum class FaceContact : std::int32_t {
 // The foot of a pebble on a facet, where it lies inside the face.
 struct alignas(32) FaceFoot {
   double weight[4];   // N_j
-  double x, y, z;     // [m]
-  double distance;    // along the normal; negative behind the surface [m]
   double nx, ny, nz;  // unit normal, into the grains
-  double overlap;     // [m]
+  double overlap;     // along it [m]
 };
 
 inline constexpr int facet_block = 8;

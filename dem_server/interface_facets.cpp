@@ -19,7 +19,7 @@ constexpr double box_drift = 0.001;
 // What rounding may take from a distance to a box, over the smallest facet.
 constexpr double box_slack = 1e-9;
 // Pairs that are looked at together: what the next block gathers of its bodies is under way meanwhile.
-constexpr std::int32_t pair_block = 32;
+constexpr std::int32_t pair_block = 8;
 // A centre deeper than this times R behind the surface counts as tunnelled.
 constexpr double tunnel_depth = 0.5;
 // Closer to an edge than this times R, the direction from the edge to the centre is round-off: the facets' normals
@@ -551,7 +551,7 @@ InterfaceFacets::Push InterfaceFacets::merge(Part& part, std::size_t seed, doubl
   const double sum = best.lambda[0] + best.lambda[1] + best.lambda[2];
   for (std::size_t s = 0; s < best.count; ++s) {
     const Foot& at = *foot[best.facet[s]];
-    part.shares.push_back({at.facet, best.lambda[s] / sum, at.at.weights, at.at.point});
+    part.shares.push_back({at.facet, best.lambda[s] / sum, at.at.weights});
   }
   return {best.length, -best.direction, static_cast<std::int32_t>(best.count)};
 }
@@ -599,48 +599,50 @@ void InterfaceFacets::find_turns() {
   }
 }
 
-// From where eq. (13) lets the share's force act to the contact point.
-void InterfaceFacets::find_lever(const Vec3& point, Share& share) const {
-  share.lever = point;
-  for (std::size_t j = 0; j < 4; ++j) share.lever -= share.weights[j] * place_of(facets_[share.facet].real_nodes[j]);
+// From where eq. (13) lets the share's force act to the contact point [m].
+Vec3 InterfaceFacets::lever_of(const Share& share, const Vec3& point) const {
+  Vec3 lever = point;
+  for (std::size_t j = 0; j < 4; ++j) lever -= share.weights[j] * place_of(facets_[share.facet].real_nodes[j]);
+  return lever;
 }
 
-// Eq. (13): each node of each facet of the contact takes its share of the force on the facet and of the stiffness.
-void InterfaceFacets::load_nodes(const Contact& contact, const Share* shares, bool transfers_moment) {
+// What a contact gives to nodes, facets and totals. Eq. (13): each node of each facet of the contact takes its share of the
+// force on the facet and of the stiffness.
+void InterfaceFacets::book(const Contact& contact, const Share* shares, const Sums& sums, bool transfers_moment) {
   for (const Share* share = shares; share != shares + contact.share_count; ++share) {
     const Facet& facet = facets_[share->facet];
-    for (std::size_t j = 0; j < 4; ++j) {
-      const double weight = share->share * share->weights[j];
-      nodal_force_[facet.real_nodes[j]] -= weight * contact.force;
-      node_stiffness_[facet.real_nodes[j]] += weight * contact.normal_stiffness;
-    }
-    const Vec3 force = share->share * contact.force;
-    if (transfers_moment) {
-      const Turn& turn = turns_[facet.below];
-      const Vec3 about = turn.inverse * share->lever.cross(force);
-      for (const std::int32_t node : facet_nodes_[facet.below])
-        nodal_force_[node] -= about.cross(place_of(node) - turn.mean);
-    }
-    facet_force_[facet.below] -= force;
-    facet_stiffness_[facet.below] += share->share * contact.normal_stiffness;
+    for (std::size_t j = 0; j < 4; ++j) node_load_[facet.real_nodes[j]].add(share->share * share->weights[j], contact);
+    facet_load_[facet.below].add(share->share, contact);
+    if (!transfers_moment) continue;
+    const Turn& turn = turns_[facet.below];
+    const Vec3 about = turn.inverse * lever_of(*share, contact.point).cross(share->share * contact.force);
+    for (const std::int32_t node : facet_nodes_[facet.below])
+      node_load_[node].force -= about.cross(place_of(node) - turn.mean);
   }
+  ++totals_.contacts;
+  totals_.particle_force += contact.force;
+  totals_.particle_moment += contact.point.cross(contact.force);
+  totals_.normal_force += sums.normal_force;
+  totals_.neglected_moment += sums.neglected_moment;
+  totals_.elastic_energy += sums.elastic_energy;
+  totals_.slip_work += sums.slip_work, totals_.dashpot_work += sums.dashpot_work;
+  totals_.power += sums.power;
+  totals_.max_overlap = std::max(totals_.max_overlap, sums.overlap_ratio);
 }
 
 // One contact: its force, on the body at once.
 void InterfaceFacets::press(Particles& particles, const Toucher& pebble, const Push& push, Part& part) {
   const std::size_t first_share = part.shares.size() - static_cast<std::size_t>(push.share_count);
-  Share* const shares = &part.shares[first_share];
-  Share* const end = shares + push.share_count;
+  const Share* const shares = &part.shares[first_share];
+  const Share* const end = shares + push.share_count;
   const Vec3 point = pebble.center + (pebble.radius - 0.5 * push.overlap) * push.normal;  // eq. 1
-  if (pebble.transfers_moment)
-    for (Share* share = shares; share != end; ++share) find_lever(point, *share);
 
   Vec3 facet_velocity = Vec3::Zero();  // eqs 6, 7
   for (const Share* share = shares; share != end; ++share) {
     for (std::size_t j = 0; j < 4; ++j)
       facet_velocity += share->share * share->weights[j] * velocity_of(facet_nodes_[share->facet][j]);
     if (pebble.transfers_moment)
-      facet_velocity += share->share * turns_[facets_[share->facet].below].spin.cross(share->lever);
+      facet_velocity += share->share * turns_[facets_[share->facet].below].spin.cross(lever_of(*share, point));
   }
   ContactHistory history = inherited(pebble, shares->facet, push.normal);
   const Vec3 approach = facet_velocity - particles.velocity_at(pebble.body, point);  // eq. 4
@@ -652,10 +654,13 @@ void InterfaceFacets::press(Particles& particles, const Toucher& pebble, const P
                            push.share_count, point, force, push.overlap, pebble.law.normal_stiffness,
                            pebble.law.shear_stiffness});
   const Vec3 shear = force - force.dot(push.normal) * push.normal;
-  part.sums.push_back({result.normal_force, pebble.transfers_moment ? 0.0 : 0.5 * push.overlap * shear.norm(),
-                       contact_energy(pebble.law, push.overlap, history), result.slip_work,
-                       result.dashpot_power * pebble.time_step, force.dot(facet_velocity),
-                       push.overlap / pebble.radius});
+  const Sums sums = {result.normal_force, pebble.transfers_moment ? 0.0 : 0.5 * push.overlap * shear.norm(),
+                     contact_energy(pebble.law, push.overlap, history), result.slip_work,
+                     result.dashpot_power * pebble.time_step, force.dot(facet_velocity), push.overlap / pebble.radius};
+  if (part.is_first)
+    book(part.contacts.back(), shares, sums, pebble.transfers_moment);
+  else
+    part.sums.push_back(sums);
 }
 
 // Pebbles whose feet inside faces are all that they have, one that touches, need no more: 97 of 100 that touch. The others are
@@ -704,7 +709,7 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
   std::int32_t fetched = 0;
   for (std::int32_t begin = 0, end = 0; begin < count; begin = end) {
     end = end_of_block(begin);
-    for (; fetched < std::min(end + pair_block, count); ++fetched) {
+    for (; fetched < std::min(end + 3 * pair_block, count); ++fetched) {
       const std::int32_t body = pair_body_[near[fetched]];
       __builtin_prefetch(&particles.bodies()[body]);
       __builtin_prefetch(&particles.motion()[body]);
@@ -728,11 +733,10 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
       const double radius = particles.pebble_radius(id);
       if (is_known && touching == 1) {
         const FaceFoot& foot = part.face_feet[static_cast<std::size_t>(at - begin)];
-        part.shares.push_back({facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]},
-                               Vec3(foot.x, foot.y, foot.z)});
+        part.shares.push_back({facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]}});
         press(particles, toucher(id, pair_body_[near[k]], center, radius),
               {foot.overlap, Vec3(-foot.nx, -foot.ny, -foot.nz), 1}, part);
-        part.tunnelled += foot.distance < -tunnel_depth * radius;
+        part.tunnelled += foot.overlap > (1 + tunnel_depth) * radius;
         continue;
       }
       find_feet(near + k, near + end_k, center, radius, part);
@@ -751,8 +755,8 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
 
 FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& material, double dt,
                                      const TravelLimits& limits, Team& team, const Partition& partition) {
-  FacetTotals totals;
-  if (facets_.empty()) return totals;
+  totals_ = {};
+  if (facets_.empty()) return totals_;
 
   if (travel_ - box_travel_ > box_drift * smallest_) update_boxes();
   if (neighborhoods_.size() != particles.pebble_count()) neighborhoods_.assign(particles.pebble_count(), {});
@@ -763,47 +767,36 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
   }
   if (material.transfers_moment) find_turns();
 
+  node_load_.assign(nodal_force_.size(), {});
+  facet_load_.assign(real_facet_count_, {});
   std::swap(contacts_, previous_), std::swap(shares_, previous_shares_);
-  contacts_.clear(), shares_.clear();
   is_inherited_.assign(previous_.size(), 0);
   parts_.resize(static_cast<std::size_t>(team.size()));
+  parts_[0].is_first = true;
   team.run([&](int t) {
     find_contacts(particles, material, dt, pebbles_of_thread(particles, partition, team.size(), t),
                   parts_[static_cast<std::size_t>(t)]);
   });
 
-  std::fill(nodal_force_.begin(), nodal_force_.end(), Vec3::Zero());
-  std::fill(facet_force_.begin(), facet_force_.end(), Vec3::Zero());
-  std::fill(node_stiffness_.begin(), node_stiffness_.end(), 0.0);
-  std::fill(facet_stiffness_.begin(), facet_stiffness_.end(), 0.0);
-  tunnelled_ = 0;
-  for (Part& part : parts_) {
+  std::swap(contacts_, parts_[0].contacts), std::swap(shares_, parts_[0].shares);
+  tunnelled_ = parts_[0].tunnelled;
+  for (std::size_t t = 1; t < parts_.size(); ++t) {
+    Part& part = parts_[t];
+    const auto before = static_cast<std::int32_t>(shares_.size());
     for (std::size_t c = 0; c < part.contacts.size(); ++c) {
-      const Contact& contact = part.contacts[c];
-      load_nodes(contact, &part.shares[static_cast<std::size_t>(contact.first_share)], material.transfers_moment);  // eq. 13
-      const Sums& sums = part.sums[c];
-      totals.particle_force += contact.force;
-      totals.particle_moment += contact.point.cross(contact.force);
-      totals.normal_force += sums.normal_force;
-      totals.neglected_moment += sums.neglected_moment;
-      totals.elastic_energy += sums.elastic_energy;
-      totals.slip_work += sums.slip_work, totals.dashpot_work += sums.dashpot_work;
-      totals.power += sums.power;
-      totals.max_overlap = std::max(totals.max_overlap, sums.overlap_ratio);
+      Contact& contact = contacts_.emplace_back(part.contacts[c]);
+      book(contact, &part.shares[static_cast<std::size_t>(contact.first_share)], part.sums[c], material.transfers_moment);
+      contact.first_share += before;
     }
+    shares_.insert(shares_.end(), part.shares.begin(), part.shares.end());
     tunnelled_ += part.tunnelled;
-    if (contacts_.empty()) {
-      std::swap(contacts_, part.contacts), std::swap(shares_, part.shares);
-    } else {
-      const auto before = static_cast<std::int32_t>(shares_.size());
-      for (Contact& contact : part.contacts) contact.first_share += before;
-      contacts_.insert(contacts_.end(), part.contacts.begin(), part.contacts.end());
-      shares_.insert(shares_.end(), part.shares.begin(), part.shares.end());
-    }
   }
-  totals.contacts = contacts_.size();
-  totals.tunnelled = tunnelled_;
-  return totals;
+  totals_.tunnelled = tunnelled_;
+  for (std::size_t i = 0; i < node_load_.size(); ++i)
+    nodal_force_[i] = node_load_[i].force, node_stiffness_[i] = node_load_[i].stiffness;
+  for (std::size_t f = 0; f < facet_load_.size(); ++f)
+    facet_force_[f] = facet_load_[f].force, facet_stiffness_[f] = facet_load_[f].stiffness;
+  return totals_;
 }
 
 // ---- state
@@ -816,7 +809,10 @@ std::vector<FacetContact> InterfaceFacets::contacts() const {
     contact.pebble = c.pebble, contact.body = c.body, contact.share_count = c.share_count;
     std::copy_n(shares_.begin() + c.first_share, c.share_count, contact.shares.begin());
     contact.point = c.point;
-    for (const Share& share : contact.shares) contact.foot += share.share * share.foot;
+    for (std::int32_t s = 0; s < c.share_count; ++s) {
+      const Share& share = contact.shares[static_cast<std::size_t>(s)];
+      contact.foot += share.share * interpolate(share.weights, corners(share.facet));
+    }
     contact.overlap = c.overlap;
     contact.normal_stiffness = c.normal_stiffness, contact.shear_stiffness = c.shear_stiffness;
     contact.force = c.force;
@@ -865,7 +861,6 @@ void InterfaceFacets::restore(const FacetState& state) {
     contacts_.push_back({c.history, c.pebble, c.body, static_cast<std::int32_t>(shares_.size()), c.share_count, c.point,
                          c.force, c.overlap, c.normal_stiffness, c.shear_stiffness});
     shares_.insert(shares_.end(), c.shares.begin(), c.shares.begin() + c.share_count);
-    for (std::int32_t s = 1; s <= c.share_count; ++s) shares_[shares_.size() - static_cast<std::size_t>(s)].foot = c.foot;
   }
   neighborhoods_.clear();
   candidates_.forget();

@@ -139,8 +139,6 @@ struct FacetContact {
     std::int32_t facet = -1;          // collar facets count on after the real ones
     double share = 0;                 // w_i; the shares of a contact sum to 1
     std::array<double, 4> weights{};  // N_j at the foot on this facet
-    Vec3 foot = Vec3::Zero();         // [m]
-    Vec3 lever = Vec3::Zero();        // from sum N_j x_j of the real nodes to x_C, where moments are transferred [m]
   };
   std::int32_t pebble = -1;
   std::int32_t body = -1;
@@ -287,6 +285,15 @@ class InterfaceFacets {
   struct Sums {
     double normal_force, neglected_moment, elastic_energy, slip_work, dashpot_work, power, overlap_ratio;
   };
+  // What contacts put on a node or a facet, in half a cache line.
+  struct alignas(32) Load {
+    Vec3 force = Vec3::Zero();  // [N]
+    double stiffness = 0;       // [N/m]
+    void add(double share, const Contact& contact) {
+      force -= share * contact.force;
+      stiffness += share * contact.normal_stiffness;
+    }
+  };
   // What one thread finds in a step; its memory is kept.
   struct Part {
     std::vector<std::int32_t> near;          // pairs that may touch
@@ -297,6 +304,7 @@ class InterfaceFacets {
     std::vector<Share> shares;
     std::vector<Sums> sums;  // of each contact
     std::size_t tunnelled = 0;
+    bool is_first = false;  // its contacts come first: they are booked at once
   };
   // How the four nodes of a real facet turn.
   struct Turn {
@@ -322,8 +330,8 @@ class InterfaceFacets {
   void press(Particles& particles, const Toucher& pebble, const Push& push, Part& part);
   ContactHistory inherited(const Toucher& pebble, std::int32_t facet, const Vec3& normal);
   void find_turns();
-  void find_lever(const Vec3& point, Share& share) const;
-  void load_nodes(const Contact& contact, const Share* shares, bool transfers_moment);
+  Vec3 lever_of(const Share& share, const Vec3& point) const;
+  void book(const Contact& contact, const Share* shares, const Sums& sums, bool transfers_moment);
 
   FacetKernels kernels_{};
   // Real nodes.
@@ -357,10 +365,12 @@ class InterfaceFacets {
   std::vector<char> is_inherited_;  // per previous contact: its spring has found a heir
   std::vector<Part> parts_;         // one a thread
 
+  std::vector<Load> node_load_, facet_load_;  // while they are summed
   Vec3s nodal_force_;                    // [N]
   Vec3s facet_force_;                    // [N]
   std::vector<double> node_stiffness_;   // [N/m]
   std::vector<double> facet_stiffness_;  // [N/m]
+  FacetTotals totals_;
   std::size_t tunnelled_ = 0;
 };
 
