@@ -83,3 +83,27 @@ TEST_CASE("tools/triaxial and tools/calibrate refuse what cannot work, in words"
   CHECK(seeds.exit_code == 1);
   CHECK(contains(seeds.text, "--seeds one"));
 }
+
+TEST_CASE("A study of cases finds the means, scatter and paired changes that made-up runs were made of") {
+  // The script derives each answer and prints the errors.
+  const Outcome study = run("tests/common/check_study.py");
+  INFO(study.text);
+  CHECK(study.exit_code == 0);
+}
+
+TEST_CASE("tools/study refuses what cannot work, in words") {
+  const Outcome seeds = run("tools/study pile_quick --seeds one");
+  CAPTURE(seeds.text);
+  CHECK(seeds.exit_code == 1);
+  CHECK(contains(seeds.text, "--seeds one"));
+
+  const Outcome twice = run("tools/study pile_quick --case base --case base:run.damping=0.1");
+  CAPTURE(twice.text);
+  CHECK(twice.exit_code == 1);
+  CHECK(contains(twice.text, "two of them have one name"));
+
+  const Outcome unwritable = run("tools/study pile_quick --out /proc/lockstep");
+  CAPTURE(unwritable.text);
+  CHECK(unwritable.exit_code == 2);
+  CHECK(contains(unwritable.text, "/proc/lockstep"));
+}
