@@ -162,11 +162,10 @@ def slope_title(groups):
     for group in groups:
         finding = next(c for c in claims.CLAIMS if c.judge is claims.plateau).finding(group)
         if finding.holds is not None:
-            share = finding.numbers["late_slope_mpa"] / finding.numbers["early_slope_mpa"]
-            told.append(f"{group.label} {100 * share:.0f} %")
+            told.append(f"{100 * finding.numbers['value'] / finding.numbers['early']:.0f} % ({group.label})")
     if not told:
         return "Tip resistance and shaft force against penetration"
-    return f"Slope of the tip resistance from S/D = 0.7 on, of that at first: {'; '.join(told)}"
+    return f"Tip resistance: the slope after S/D = 0.7 is {', '.join(told)} of the first slope"
 
 
 # ------------------------------------------------------------------------------------------------------- Fig. 9: bulb
@@ -190,7 +189,7 @@ def paint_contours(axes, polygons, values, levels):
         mesh = Triangulation(center[chosen, 0], center[chosen, 1])
         middle = center[chosen][mesh.triangles].mean(axis=1)
         mesh.set_mask((np.abs(middle[:, 0]) < radius) & (middle[:, 1] > bottom))
-        if not ((levels > values[chosen].min()) & (levels < values[chosen].max())).any():
+        if chosen.sum() < 4 or not ((levels > values[chosen].min()) & (levels < values[chosen].max())).any():
             continue
         lines = axes.tricontour(mesh, values[chosen], levels=levels, colors="black", linestyles="solid", linewidths=0.6)
         if side > 0:
@@ -198,7 +197,7 @@ def paint_contours(axes, polygons, values, levels):
 
 
 def bulb_sections(groups):
-    group = with_data([g for g in groups if g.kind == COUPLED], lambda g: g.first.stress_section(min(BULB_LEVELS)))[0]
+    group = with_data(groups, lambda g: g.first.stress_section(min(BULB_LEVELS)))[0]
     run = group.first
     levels = [at for at in BULB_LEVELS if at <= run.end + 0.03]
     sections = []
@@ -208,7 +207,10 @@ def bulb_sections(groups):
     half = 1.7
     low, high = run.tip(run.end) - 2.6, run.tip_start + 0.8
     # The scales are those of what is seen of the last state.
-    seen = [np.all((np.abs(p) < [half, np.inf]) & (p[:, 1:] > low) & (p[:, 1:] < high)) for p in sections[-1][1]]
+    center = np.array([polygon.mean(axis=0) for polygon in sections[-1][1]])
+    seen = (np.abs(center[:, 0]) < half) & (center[:, 1] > low) & (center[:, 1] < high)
+    if not seen.any():
+        raise Missing("no zones around the tip")
     limit = rounded_limit(sections[-1][2][seen])
     deepest = rounded_limit(sections[-1][3][seen])
     figure, axes = new_figure(4.7, 2, len(levels), sharex=True, sharey=True)
@@ -231,7 +233,7 @@ def bulb_sections(groups):
 
 
 def bulb_growth(groups):
-    shown = with_data([g for g in groups if g.kind == COUPLED], lambda g: g.first.bulb_sizes())
+    shown = with_data(groups, lambda g: g.first.bulb_sizes())
     figure, axes = new_figure(2.5, 1, 2)
     for group in shown:
         for panel, which in zip(axes[0], (0, 1)):

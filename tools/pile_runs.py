@@ -88,19 +88,19 @@ class Samples:
     which points inside the pile do not share."""
 
     def __init__(self, arrays, diameter, tip_start, tip_now, samples=SAMPLES):
-        corner = arrays["Points"].reshape(-1, 3)[arrays["connectivity"].astype(int)].reshape(-1, 8, 3)
+        corner = arrays["Points"].reshape(-1, 3)[column(arrays, "connectivity").astype(int)].reshape(-1, 8, 3)
         low, high = corner.min(axis=1), corner.max(axis=1)
         steps = (np.arange(samples) + 0.5) / samples
         part = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         place = low[:, None] + part[None] * (high - low)[:, None]
         r = np.hypot(place[..., 0], place[..., 1])
         is_free = (r >= diameter / 2) | (place[..., 2] <= tip_now)
-        room = arrays["room"] * np.prod(high - low, axis=1)
+        room = column(arrays, "room") * np.prod(high - low, axis=1)
         weight = is_free * (room / np.maximum(is_free.sum(axis=1), 1))[:, None]
         self.cells = len(corner)
         self.cell = np.repeat(np.arange(self.cells), len(part))
         self.r, self.z, self.weight = r.ravel() / diameter, (place[..., 2].ravel() - tip_start) / diameter, weight.ravel()
-        self.porosity = arrays["porosity"]
+        self.porosity = column(arrays, "porosity")
         self.tip = (tip_now - tip_start) / diameter
 
     def ring_means(self, r_edges, z_edges):
@@ -187,6 +187,15 @@ class Run:
             raise Missing(f"no state at S/D = {s_over_d:g}" + (f": the run ends at {self.end:.2f}" if s_over_d > self.end else ""))
         return paths[nearest]
 
+    def grains_across(self):
+        """Mean grain diameters across the pile, None where the run does not tell."""
+        radius = self.summary.get("mean_radius_m")
+        return self.diameter / (2 * radius) if radius else None
+
+    def scene_name(self):
+        path = self.manifest.get("scene", "")
+        return os.path.basename(os.path.dirname(path)) if os.path.basename(path) == "scene.txt" else os.path.basename(path)
+
     def tip(self, s_over_d):
         return self.tip_start - s_over_d * self.diameter  # [m]
 
@@ -202,7 +211,7 @@ class Run:
         if self.kind != COUPLED:
             raise Missing("no zones")
         arrays = read_vtk(self.state("zones", s_over_d))
-        cells = arrays["connectivity"].astype(int).reshape(-1, 8)
+        cells = column(arrays, "connectivity").astype(int).reshape(-1, 8)
         stress = next((v for n, v in arrays.items() if n.startswith("stress") and v.shape == (len(cells), 6)), None)
         if stress is None:
             raise Missing("no stress in the zones' files")
@@ -239,7 +248,8 @@ class Run:
     def contacts(self, path):
         arrays = read_vtk(path)
         ends = arrays["Points"].reshape(-1, 2, 3)
-        return ends, np.hypot(arrays["normal force"], arrays["shear force"]), arrays["family"].astype(int)
+        force = np.hypot(column(arrays, "normal force"), column(arrays, "shear force"))
+        return ends, force, column(arrays, "family").astype(int)
 
     @functools.lru_cache(maxsize=None)
     def tip_forces(self):
@@ -384,13 +394,15 @@ def grouped(runs):
 
 
 def name_groups(groups):
-    """Tells groups of one kind apart by what differs between them."""
+    """Tells groups of one kind apart by their scenes' names, or else by what differs between them."""
     for kind in (COUPLED, ALONE):
         alike = [group for group in groups if group.kind == kind]
         if len(alike) < 2:
             continue
-        keys = sorted(set().union(*(dict(group_key(group.first)) for group in alike)))
-        differ = [key for key in keys if len({group.scene.get(key) for group in alike}) > 1]
-        for group in alike:
-            told = [f"{key.split('.')[-1]} {group.scene.get(key, 'default')}" for key in differ[:2]]
-            group.label = f"{kind}, {', '.join(told)}"
+        names = [group.first.scene_name() for group in alike]
+        if len(set(names)) < len(names):
+            keys = sorted(set().union(*(dict(group_key(group.first)) for group in alike)))
+            differ = [key for key in keys if len({group.scene.get(key) for group in alike}) > 1]
+            names = [", ".join(f"{key.split('.')[-1]} {group.scene.get(key, 'default')}" for key in differ[:2]) for group in alike]
+        for group, name in zip(alike, names):
+            group.label = f"{kind}, {name}"
