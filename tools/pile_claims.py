@@ -300,20 +300,25 @@ def stage_seconds(run):
     return {stage: float(tells["seconds"]) for stage, tells in stages.items() if "seconds" in tells}
 
 
-def step_seconds(run):
+def push_seconds(run):
+    """Apply and Penetrate: what does not depend on whether a packing was made or taken from a file."""
     stages = stage_seconds(run)
     if not run.summary.get("steps") or "Penetrate" not in stages:
         raise Missing(f"{run.name} does not tell steps and seconds of Penetrate")
-    return (stages["Penetrate"] + stages.get("Apply", 0.0)) / run.summary["steps"]
+    return stages["Penetrate"] + stages.get("Apply", 0.0)
+
+
+def step_seconds(run):
+    return push_seconds(run) / run.summary["steps"]
 
 
 def speed(coupled, alone):
-    whole = ratio(alone.estimate(wall_seconds), coupled.estimate(wall_seconds))
-    step = ratio(alone.estimate(step_seconds), coupled.estimate(step_seconds))
+    push, step, whole = (ratio(*(group.estimate(measure) for group in (alone, coupled))) for measure in (push_seconds, step_seconds, wall_seconds))
     grains = alone.first.summary.get("grains", np.nan) / coupled.first.summary.get("grains", np.nan)
-    return Finding(f"{whole.mean:.2f} of the wall time, {step.mean:.2f} of the time of a step; {grains:.2f} times the grains",
-                   whole.mean > CHEAPER, {"wall_time_ratio": whole.mean, "step_time_ratio": step.mean, "grain_ratio": grains},
-                   "two programs at once against one" if coupled.first.manifest.get("cores", 1) > 1 else "")
+    return found(f"{push.text()}; of one step {step.mean:.2f}, of the whole wall time {whole.mean:.2f}, of the grains {grains:.2f}",
+                 lambda value: value > CHEAPER, push, {"step_time": step.mean, "wall_time": whole.mean, "grains": grains},
+                 f"dem_server with {coupled.first.threads()} and {alone.first.threads()} threads on {coupled.first.manifest.get('cores', '?')} cores, "
+                 "beside it continuum_client in the coupled run")
 
 
 CLAIMS = (
@@ -353,7 +358,7 @@ CLAIMS = (
           third_moves_outwards),
     Claim("Fig. 13", "1 stays on the axis", f"horizontal way at S/D = 1 below {ON_AXIS:g} S", first_stays_on_axis),
     Claim("Table 3", f"the coupled run is {PAPER_SPEED:g} times cheaper than particles only",
-          f"wall time of particles only over coupled above {CHEAPER:g}", speed, True),
+          f"time of Apply and Penetrate, particles only over coupled, above {CHEAPER:g}", speed, True),
 )
 
 

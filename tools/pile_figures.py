@@ -41,6 +41,19 @@ def seeds_of(group):
     return f"{len(group.runs)} seeds" if len(group.runs) > 1 else f"seed {group.first.seed}"
 
 
+def label_of(group, groups):
+    """As short as tells it from the others of the figure."""
+    is_one = sum(other.kind == group.kind for other in groups) == 1
+    return group.kind if is_one else textwrap.fill(group.label, 26, break_long_words=False)
+
+
+def add_legend(axes, groups):
+    """In the upper left corner, which curves that rise leave free for two names."""
+    if len(groups) > 2:
+        axes.set_ylim(None, axes.get_ylim()[1] * (1 + 0.15 * len(groups)))
+    axes.legend(frameon=False, loc="upper left", labelspacing=0.3)
+
+
 def color_of(groups, group):
     return COLORS[groups.index(group) % len(COLORS)]
 
@@ -145,7 +158,7 @@ def resistance_curves(groups):
     figure, axes = new_figure(3.3, 1, 2)
     for panel, name, scale, label in ((axes[0, 0], claims.TIP, 1e-6, "tip resistance [MPa]"), (axes[0, 1], claims.SHAFT, 1e-3, "shaft force [kN]")):
         for group in groups:
-            paint_band(panel, group.penetration, group.curves(name, scale), color_of(groups, group), f"{group.label}, {seeds_of(group)}")
+            paint_band(panel, group.penetration, group.curves(name, scale), color_of(groups, group), f"{label_of(group, groups)}, {seeds_of(group)}")
             for run in group.broken_off:
                 reached = group.penetration[group.penetration <= run.end]
                 panel.plot(reached, run.curve(name, reached) * scale, color=color_of(groups, group), linewidth=0.7, linestyle=":")
@@ -153,7 +166,7 @@ def resistance_curves(groups):
         panel.axvline(claims.LATE[0], color="0.5", linestyle=":", linewidth=1)
     axes[0, 0].text(claims.LATE[0] - 0.01, 0.02, "paper: limit", rotation=90, color="0.4", ha="right", va="bottom", fontsize=8,
                     transform=axes[0, 0].get_xaxis_transform())
-    axes[0, 0].legend(frameon=False, loc="upper left")
+    add_legend(axes[0, 0], groups)
     return entitle(figure, slope_title(groups))
 
 
@@ -239,10 +252,12 @@ def bulb_growth(groups):
         for panel, which in zip(axes[0], (0, 1)):
             at = group.first.bulb_sizes()[which][0]
             curves = [np.interp(at, *run.bulb_sizes()[which]) / 1e3 for run in group.runs]
-            paint_band(panel, at, np.array(curves), color_of(groups, group), group.label)
+            paint_band(panel, at, np.array(curves), color_of(groups, group), label_of(group, shown))
     for panel, label in ((axes[0, 0], "rms change of stress in the\nzones since Excavate [kPa]"), (axes[0, 1], "rate of change of the stress,\nrms [kPa per unit of S/D]")):
         finish_curve(panel, label, max(group.end for group in shown))
         panel.axvline(claims.LATE[0], color="0.5", linestyle=":", linewidth=1)
+    if len(shown) > 1:
+        add_legend(axes[0, 0], shown)
     return entitle(figure, "How large the bulb is, and how fast it still changes")
 
 
@@ -274,7 +289,7 @@ def network_panels(groups):
             panel.xaxis.set_major_locator(MaxNLocator(3))
             if row == 0:
                 panel.set_title(f"S/D = {at:g}")
-        axes[row, 0].set_ylabel(f"{group.label}\nz from the tip at S = 0 [D]")
+        axes[row, 0].set_ylabel(f"{label_of(group, shown)}\nz from the tip at S = 0 [D]")
     for panel in axes[-1]:
         panel.set_xlabel("x [D]")
     return entitle(figure, f"Contact forces gather under the tip (thickest line {largest / 1e3:.3g} kN; at the pile red)")
@@ -287,14 +302,14 @@ def tip_force_curves(groups):
         at = group.first.tip_forces()["S/D"]
         for panel, name in zip(axes[0], ("largest at tip", "near tip", "away")):
             curves = [np.interp(at, run.tip_forces()["S/D"], run.tip_forces()[name]) / 1e3 for run in group.runs]
-            paint_band(panel, at, np.array(curves), color_of(groups, group), group.label)
+            paint_band(panel, at, np.array(curves), color_of(groups, group), label_of(group, shown))
     top = max(axes[0, 1].get_ylim()[1], axes[0, 2].get_ylim()[1])
     for panel, label in zip(axes[0], ("largest force, grain with tip [kN]", "mean force within D/2\nof the tip's centre [kN]", "mean force D to 3D/2\nfrom there [kN]")):
         finish_curve(panel, label, max(group.end for group in shown))
         panel.axvline(claims.LATE[0], color="0.5", linestyle=":", linewidth=1)
     for panel in axes[0, 1:]:
         panel.set_ylim(0, top)
-    axes[0, 2].legend(frameon=False, loc="upper left")
+    add_legend(axes[0, 2], shown)
     return entitle(figure, "Forces at the tip against penetration, and how far they decay in one diameter")
 
 
@@ -305,17 +320,21 @@ def porosity_fields(groups):
     """Porosity above its change, S/D side by side; the left half of each panel is the first group, the right one the last."""
     shown = with_data(groups, lambda g: g.rings(POROSITY_LEVELS[0], claims.FIELD_R, claims.FIELD_Z))
     halves = ((-1, shown[0]), (1, shown[-1]))
-    levels = [at for at in POROSITY_LEVELS if at <= min(g.end for g in shown) + 0.03]
+    levels = [at for at in POROSITY_LEVELS if at <= max(g.end for g in shown) + 0.03]
     figure, axes = new_figure(6.4, 2, len(levels), sharex=True, sharey=True)
     for column, at in enumerate(levels):
         for side, group in halves:
-            now, start = (group.rings(s, claims.FIELD_R, claims.FIELD_Z) for s in (at, 0.0))
+            try:
+                now, start = (group.rings(s, claims.FIELD_R, claims.FIELD_Z) for s in (at, 0.0))
+            except Missing:
+                axes[0, column].text(side * 0.75, 1.5, f"{label_of(group, shown)}\nends at {group.end:.2f}", ha="center", va="bottom", fontsize=8)
+                continue
             whole = axes[0, column].pcolormesh(side * claims.FIELD_R, claims.FIELD_Z, now, cmap="viridis", vmin=0.3, vmax=0.55)
             change = axes[1, column].pcolormesh(side * claims.FIELD_R, claims.FIELD_Z, now - start, cmap="PuOr_r", vmin=-0.12, vmax=0.12)
             for panel in axes[:, column]:
                 for region in (claims.CORE, claims.SLEEVE):
                     panel.add_patch(Polygon(region.corners * [side, -1] - [0, at], fill=False, edgecolor="#d02030", linewidth=1, zorder=4))
-                label = f"{group.label}\n{seeds_of(group)}" if len(shown) > 1 or side < 0 else "mirrored"
+                label = f"{label_of(group, shown)}\n{seeds_of(group)}" if len(shown) > 1 or side < 0 else "mirrored"
                 panel.text(side * 0.75, 1.5, label, ha="center", va="bottom", fontsize=8)
         for panel in axes[:, column]:
             panel.add_patch(Rectangle((-0.5, -at), 1, 1.45 + at, facecolor=PILE, edgecolor="black", linewidth=0.6, zorder=3))
@@ -358,7 +377,7 @@ def trace_starts(groups):
                 if number == 0:
                     panel.annotate(str(role), (x[0], z[0]), xytext=(6, 5), textcoords="offset points", fontweight="bold", color=TRACE_COLORS[role])
         panel.set(xlim=(-1.5, 1.5), ylim=(-2.2, 0.6), aspect="equal", xlabel="distance from the axis [D]")
-        panel.set_title(f"{group.label}, seed {run.seed}")
+        panel.set_title(f"{label_of(group, shown)}, seed {run.seed}")
         panel.grid(color=PALE)
     axes[0, 0].set_ylabel("z from the tip at S = 0 [D]")
     return entitle(figure, "Traced grains: start (full), way, end (open); crosses: the paper's places")
@@ -381,7 +400,7 @@ def trace_curves(groups):
                         panel.plot(at, np.mean(singles, axis=0), color=TRACE_COLORS[role], linewidth=1.9, label=f"grain {role}")
                 panel.set_xlim(0, group.end)
                 panel.grid(color=PALE)
-                panel.set_title(f"{letters[row]}: {group.label}")
+                panel.set_title(f"{letters[row]}: {label_of(group, shown)}")
                 if row == 1:
                     panel.set_xlabel("S/D [-]")
             axes[1, block * len(shown) + number].legend(frameon=False, loc="lower left")

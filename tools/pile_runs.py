@@ -7,6 +7,7 @@ the end of Apply: of the states before the pile moves the last one counts."""
 
 import functools
 import os
+import re
 
 import numpy as np
 
@@ -191,6 +192,10 @@ class Run:
         """Mean grain diameters across the pile, None where the run does not tell."""
         radius = self.summary.get("mean_radius_m")
         return self.diameter / (2 * radius) if radius else None
+
+    def threads(self):
+        """Of dem_server."""
+        return int((re.findall(r"--threads[= ](\d+)", " ".join(self.manifest.get("command_line", []))) or [1])[-1])
 
     def scene_name(self):
         path = self.manifest.get("scene", "")
