@@ -39,14 +39,16 @@ class Finding:
     is_narrow: bool = False
 
     def verdict(self):
-        return {True: "agrees", False: "does not agree", None: "not in this run"}[self.holds] + (", within its error" if self.is_narrow else "")
+        words = {True: "agrees", False: "does not agree", None: "not in this run"}[self.holds]
+        return words + (", within its error" if self.is_narrow else "")
 
 
 def found(words, test, number, numbers, why=""):
     """The finding that test(number's mean) decides."""
     holds = bool(test(number.mean))
     is_narrow = bool(np.isfinite(number.error)) and any(bool(test(number.mean + e)) != holds for e in (-number.error, number.error))
-    return Finding(words, holds, {**numbers, "value": number.mean, "error": number.error if np.isfinite(number.error) else None}, why, is_narrow)
+    error = number.error if np.isfinite(number.error) else None  # JSON has no nan
+    return Finding(words, holds, {**numbers, "value": number.mean, "error": error}, why, is_narrow)
 
 
 @dataclasses.dataclass
@@ -313,12 +315,12 @@ def step_seconds(run):
 
 
 def speed(coupled, alone):
-    push, step, whole = (ratio(*(group.estimate(measure) for group in (alone, coupled))) for measure in (push_seconds, step_seconds, wall_seconds))
+    push, step, whole = (ratio(alone.estimate(measure), coupled.estimate(measure)) for measure in (push_seconds, step_seconds, wall_seconds))
     grains = alone.first.summary.get("grains", np.nan) / coupled.first.summary.get("grains", np.nan)
     return found(f"{push.text()}; of one step {step.mean:.2f}, of the whole wall time {whole.mean:.2f}, of the grains {grains:.2f}",
                  lambda value: value > CHEAPER, push, {"step_time": step.mean, "wall_time": whole.mean, "grains": grains},
-                 f"dem_server with {coupled.first.threads()} and {alone.first.threads()} threads on {coupled.first.manifest.get('cores', '?')} cores, "
-                 "beside it continuum_client in the coupled run")
+                 f"dem_server with {coupled.first.threads()} and {alone.first.threads()} threads on "
+                 f"{coupled.first.manifest.get('cores', '?')} cores, beside it continuum_client in the coupled run")
 
 
 CLAIMS = (
@@ -328,12 +330,14 @@ CLAIMS = (
           f"slope over S/D {text_of(LATE)} below {percent(PLATEAU_SHARE)} of that over {text_of(EARLY)}, and not below 0 by more than its "
           "standard error", plateau),
     Claim("Fig. 8", "both methods give similar results (told of Figs. 10 and 11)",
-          f"mean tip resistance over S/D {text_of(LATE)}: coupled over particles only between {1 / ALIKE:g} and {ALIKE:g}", resistance_alike, True),
+          f"mean tip resistance over S/D {text_of(LATE)}: coupled over particles only between {1 / ALIKE:g} and {ALIKE:g}",
+          resistance_alike, True),
     Claim("Fig. 9", "the bulb of vertical stress grows, then is steady from S/D = 0.7",
           f"rms change of stress in the zones, by volume, per unit of S/D over {text_of(LATE)} below {percent(STEADY_SHARE)} of that over "
           f"{text_of(BULB_EARLY)}", steady_bulb),
     Claim("Fig. 10", "the largest contact forces are close to the tip",
-          f"of the {LARGEST} largest contacts between grains more than {percent(CLOSE_SHARE)} within D of the tip's centre, S/D = 1", largest_are_close),
+          f"of the {LARGEST} largest contacts between grains more than {percent(CLOSE_SHARE)} within D of the tip's centre, "
+          "S/D = 1", largest_are_close),
     Claim("Fig. 10", "and decrease quickly away from it",
           f"mean force from D to 3D/2 of the tip's centre below {DECAY_SHARE:g} of that within D/2, S/D = 1", forces_decay),
     Claim("Fig. 10", "contact forces at the tip grow, then slow down at the limit",
@@ -343,11 +347,12 @@ CLAIMS = (
           f"mean force within D/2 of the tip's centre, S/D {text_of(LATE)}: coupled over particles only between {1 / ALIKE:g} and {ALIKE:g}",
           forces_alike, True),
     Claim("Fig. 11", "a dense core under the tip",
-          f"porosity in the cone under the tip, {CORE.corners[:, 1].max():g} D deep, S/D = {LATE[0]:g}: lower than at S = 0 at the same place, and than under "
-          f"the tip then, each by more than {ERRORS} standard errors", porosity_claim(CORE, -1)),
+          f"porosity in the cone under the tip, {CORE.corners[:, 1].max():g} D deep, S/D = {LATE[0]:g}: lower than at S = 0 at the same "
+          f"place, and than under the tip then, each by more than {ERRORS} standard errors", porosity_claim(CORE, -1)),
     Claim("Fig. 11", "a loose (dilated) sleeve along the shaft",
-          f"porosity within {np.ptp(SLEEVE.corners[:, 0]):g} D of the shaft, 0 to {-SLEEVE.corners[:, 1].min():g} D above the tip, S/D = {LATE[0]:g}: higher than "
-          f"at S = 0 at the same place, and than as far from the tip then, each by more than {ERRORS} standard errors", porosity_claim(SLEEVE, 1)),
+          f"porosity within {np.ptp(SLEEVE.corners[:, 0]):g} D of the shaft, 0 to {-SLEEVE.corners[:, 1].min():g} D above the tip, S/D = "
+          f"{LATE[0]:g}: higher than at S = 0 at the same place, and than as far from the tip then, each by more than {ERRORS} standard errors",
+          porosity_claim(SLEEVE, 1)),
     Claim("Fig. 11", "both methods show similar porosity",
           f"change of porosity since S = 0, in rings of {RING:g} D: correlation above {CORRELATED:g}", fields_alike, True),
     Claim("Fig. 13", "1 goes down most, more than 2 below it and 3 beside it",
@@ -371,12 +376,10 @@ def pair_of(groups):
 def judged(groups):
     """[(claim, [(label, finding), ...]), ...]"""
     pair, table = pair_of(groups), []
+    lacks = "needs a run of particles only" if groups[0].kind == COUPLED else "needs a coupled run"
     for claim in CLAIMS:
-        if not claim.is_pair:
-            table.append((claim, [(group.label, claim.finding(group)) for group in groups]))
-        elif pair:
-            table.append((claim, [("both", claim.finding(*pair))]))
+        if claim.is_pair:
+            table.append((claim, [("both", claim.finding(*pair) if pair else Finding(lacks, None))]))
         else:
-            kind = COUPLED if groups[0].kind == ALONE else ALONE
-            table.append((claim, [("both", Finding(f"needs a run that is {kind}" if kind == COUPLED else "needs a run of particles only", None))]))
+            table.append((claim, [(group.label, claim.finding(group)) for group in groups]))
     return table

@@ -109,7 +109,8 @@ def network_lines(run, s_over_d, thickness):
 def paint_network(axes, lines, force, is_pile, scale, widest=5.0):
     strong = force > 0.01 * scale
     for chosen, color in ((strong & ~is_pile, NETWORK), (strong & is_pile, AT_PILE)):
-        axes.add_collection(LineCollection(lines[chosen], linewidths=widest * force[chosen] / scale, colors=color, capstyle="round", zorder=4))
+        axes.add_collection(LineCollection(lines[chosen], linewidths=widest * force[chosen] / scale, colors=color, capstyle="round",
+                                           zorder=4))
 
 
 def slice_thickness(run):
@@ -156,9 +157,11 @@ def model_view(groups):
 
 def resistance_curves(groups):
     figure, axes = new_figure(3.3, 1, 2)
-    for panel, name, scale, label in ((axes[0, 0], claims.TIP, 1e-6, "tip resistance [MPa]"), (axes[0, 1], claims.SHAFT, 1e-3, "shaft force [kN]")):
+    for panel, name, scale, label in ((axes[0, 0], claims.TIP, 1e-6, "tip resistance [MPa]"),
+                                      (axes[0, 1], claims.SHAFT, 1e-3, "shaft force [kN]")):
         for group in groups:
-            paint_band(panel, group.penetration, group.curves(name, scale), color_of(groups, group), f"{label_of(group, groups)}, {seeds_of(group)}")
+            paint_band(panel, group.penetration, group.curves(name, scale), color_of(groups, group),
+                       f"{label_of(group, groups)}, {seeds_of(group)}")
             for run in group.broken_off:
                 reached = group.penetration[group.penetration <= run.end]
                 panel.plot(reached, run.curve(name, reached) * scale, color=color_of(groups, group), linewidth=0.7, linestyle=":")
@@ -253,7 +256,8 @@ def bulb_growth(groups):
             at = group.first.bulb_sizes()[which][0]
             curves = [np.interp(at, *run.bulb_sizes()[which]) / 1e3 for run in group.runs]
             paint_band(panel, at, np.array(curves), color_of(groups, group), label_of(group, shown))
-    for panel, label in ((axes[0, 0], "rms change of stress in the\nzones since Excavate [kPa]"), (axes[0, 1], "rate of change of the stress,\nrms [kPa per unit of S/D]")):
+    for panel, label in ((axes[0, 0], "rms change of stress in the\nzones since Excavate [kPa]"),
+                         (axes[0, 1], "rate of change of the stress,\nrms [kPa per unit of S/D]")):
         finish_curve(panel, label, max(group.end for group in shown))
         panel.axvline(claims.LATE[0], color="0.5", linestyle=":", linewidth=1)
     if len(shown) > 1:
@@ -304,7 +308,8 @@ def tip_force_curves(groups):
             curves = [np.interp(at, run.tip_forces()["S/D"], run.tip_forces()[name]) / 1e3 for run in group.runs]
             paint_band(panel, at, np.array(curves), color_of(groups, group), label_of(group, shown))
     top = max(axes[0, 1].get_ylim()[1], axes[0, 2].get_ylim()[1])
-    for panel, label in zip(axes[0], ("largest force, grain with tip [kN]", "mean force within D/2\nof the tip's centre [kN]", "mean force D to 3D/2\nfrom there [kN]")):
+    for panel, label in zip(axes[0], ("largest force, grain with tip [kN]", "mean force within D/2\nof the tip's centre [kN]",
+                                      "mean force D to 3D/2\nfrom there [kN]")):
         finish_curve(panel, label, max(group.end for group in shown))
         panel.axvline(claims.LATE[0], color="0.5", linestyle=":", linewidth=1)
     for panel in axes[0, 1:]:
@@ -327,7 +332,8 @@ def porosity_fields(groups):
             try:
                 now, start = (group.rings(s, claims.FIELD_R, claims.FIELD_Z) for s in (at, 0.0))
             except Missing:
-                axes[0, column].text(side * 0.75, 1.5, f"{label_of(group, shown)}\nends at {group.end:.2f}", ha="center", va="bottom", fontsize=8)
+                axes[0, column].text(side * 0.75, 1.5, f"{label_of(group, shown)}\nends at {group.end:.2f}", ha="center", va="bottom",
+                                     fontsize=8)
                 continue
             whole = axes[0, column].pcolormesh(side * claims.FIELD_R, claims.FIELD_Z, now, cmap="viridis", vmin=0.3, vmax=0.55)
             change = axes[1, column].pcolormesh(side * claims.FIELD_R, claims.FIELD_Z, now - start, cmap="PuOr_r", vmin=-0.12, vmax=0.12)
@@ -375,7 +381,8 @@ def trace_starts(groups):
                 panel.plot(x[0], z[0], "o", color=TRACE_COLORS[role], markersize=6)
                 panel.plot(x[-1], z[-1], "o", color=TRACE_COLORS[role], markersize=4, markerfacecolor="white")
                 if number == 0:
-                    panel.annotate(str(role), (x[0], z[0]), xytext=(6, 5), textcoords="offset points", fontweight="bold", color=TRACE_COLORS[role])
+                    panel.annotate(str(role), (x[0], z[0]), xytext=(6, 5), textcoords="offset points", fontweight="bold",
+                                   color=TRACE_COLORS[role])
         panel.set(xlim=(-1.5, 1.5), ylim=(-2.2, 0.6), aspect="equal", xlabel="distance from the axis [D]")
         panel.set_title(f"{label_of(group, shown)}, seed {run.seed}")
         panel.grid(color=PALE)

@@ -89,8 +89,9 @@ def make_run(folder, seed=1, late=1.0, end=1.0, overrides=(), is_coupled=True, s
         json.dump({"scene": "/scenes/made_up/scene.txt", "overrides": [f"seed={seed}", *overrides], "seed": seed}, file)
     if end >= 1:
         with open(os.path.join(folder, "dem_summary.json"), "w") as file:
-            json.dump({"title": "made up", "seed": seed, "pile_diameter": D, "pile_tip_z_start": TIP, "seconds": 100.0 if is_coupled else 250.0,
-                       "steps": 1000, "grains": 10, "stages": {"Apply": {"seconds": 1.0}, "Penetrate": {"seconds": 9.0 if is_coupled else 29.0}}}, file)
+            json.dump({"title": "made up", "seed": seed, "pile_diameter": D, "pile_tip_z_start": TIP, "steps": 1000, "grains": 10,
+                       "seconds": 100.0 if is_coupled else 250.0,
+                       "stages": {"Apply": {"seconds": 1.0}, "Penetrate": {"seconds": 9.0 if is_coupled else 29.0}}}, file)
     write_series(folder, "contacts", "vtp", contacts)
     write_series(folder, "grid_0", "vtu", lambda s: porosity(s, core, sleeve), (0.0, 0.3, 0.7, 1.0))
     if is_coupled:
@@ -162,7 +163,8 @@ def check_rings():
     # A field a + b x + c z has the azimuthal mean a + c z around the axis, whatever b is.
     points, connectivity, center = boxes((-0.5, -0.5, -2), (0.5, 0.5, 0), (20, 20, 64))
     r_edges, z_edges = np.arange(0, 1.6, 0.25), np.arange(-3, 3.1, 0.125)
-    field = {"Points": points, "connectivity": connectivity, "porosity": 0.4 + 0.2 * center[:, 0] + 0.1 * center[:, 2], "room": np.ones(len(center))}
+    field = {"Points": points, "connectivity": connectivity, "porosity": 0.4 + 0.2 * center[:, 0] + 0.1 * center[:, 2],
+             "room": np.ones(len(center))}
     rings = pile_runs.Samples(field, 1e-9 + D, TIP, 5.0).ring_means(r_edges, z_edges)
     truth = 0.4 + 0.1 * (TIP + D * 0.5 * (z_edges[1:] + z_edges[:-1]))
     close("largest error of a field's azimuthal mean", np.abs(rings - truth[:, None]).max(), 0.0, 1e-6)
@@ -202,20 +204,26 @@ def check_run(folder):
     close("way down of grain 1 [D]", claims.trace_end(run, 1, "down"), 0.9, 1e-6)
     close("time of a step [s]", claims.step_seconds(run), 0.01)
     scene = read_scene(run.folder)
-    holds("a scene's keys, a string with #, an override", (scene["title"], scene["pile.diameter"], scene["seed"]) == ("made up # no comment", "0.25", "1"))
+    holds("a scene's keys, a string with #, an override",
+          (scene["title"], scene["pile.diameter"], scene["seed"]) == ("made up # no comment", "0.25", "1"))
 
 
 def check_groups(folder):
-    made = {"a1": {}, "a2": {"seed": 2}, "a2_again": {"seed": 2}, "a3": {"seed": 3, "end": 0.4}, "measured": {"seed": 4, "overrides": ["measure.fabric=true"]},
+    made = {"a1": {}, "a2": {"seed": 2}, "a2_again": {"seed": 2}, "a3": {"seed": 3, "end": 0.4},
+            "measured": {"seed": 4, "overrides": ["measure.fabric=true"]},
             "fast": {"overrides": ["fidelity.pile_velocity=0.5"]}, "alone": {"is_coupled": False}}
     for name, how in made.items():
         make_run(os.path.join(folder, name), **how)
-    groups = pile_runs.grouped([pile_runs.Run(os.path.join(folder, name)) for name in ("alone", "a2", "a1", "a2_again", "a3", "measured", "fast")])
+    order = ("alone", "a2", "a1", "a2_again", "a3", "measured", "fast")
+    groups = pile_runs.grouped([pile_runs.Run(os.path.join(folder, name)) for name in order])
     holds("scenes apart, coupled first", [sorted(r.name for r in g.runs) for g in groups] == [["a1", "a2", "measured"], ["fast"], ["alone"]])
-    holds("a seed that comes twice counts once, a run broken off does not", len(groups[0].notes) == 2 and "a3 ends at S/D = 0.40" in groups[0].notes[1])
-    holds("groups of one kind have names of their own", groups[0].label == "coupled, pile_velocity default" and groups[1].label == "coupled, pile_velocity 0.5")
+    holds("a seed that comes twice counts once, a run broken off does not",
+          len(groups[0].notes) == 2 and "a3 ends at S/D = 0.40" in groups[0].notes[1])
+    holds("groups of one kind have names of their own",
+          [group.label for group in groups[:2]] == ["coupled, pile_velocity default", "coupled, pile_velocity 0.5"])
     early = pile_runs.grouped([pile_runs.Run(os.path.join(folder, "a3"))])[0]
-    holds("a run that was broken off is not judged", claims.CLAIMS[1].finding(early).holds is None and "0.40" in claims.CLAIMS[1].finding(early).text)
+    finding = claims.CLAIMS[1].finding(early)
+    holds("a run that was broken off is not judged", finding.holds is None and "0.40" in finding.text)
     # Values 1, 2, 3: mean 2, error 1/sqrt(3).
     estimate = pile_runs.Estimate([1, 2, 3])
     close("standard error of a mean", estimate.error, 1 / math.sqrt(3))
@@ -225,7 +233,8 @@ def check_verdicts(folder):
     """Each claim must turn when its data do."""
     good = claims_of(os.path.join(folder, "good"))
     holds("a run made as the paper's agrees with all that it tells", all(good.values()) and len(good) >= 12)
-    turned = {"late": dict(late=9.0), "falls": dict(late=-1.0), "bulb": dict(bulb=lambda s: s), "core": dict(core=0.0), "sleeve": dict(sleeve=0.0),
+    turned = {"late": dict(late=9.0), "falls": dict(late=-1.0), "bulb": dict(bulb=lambda s: s), "core": dict(core=0.0),
+              "sleeve": dict(sleeve=0.0),
               "first": dict(first=0.3)}
     expected = {"late": {"plateau", "limit_reached"}, "falls": {"plateau"}, "bulb": {"steady_bulb"}, "core": {"a dense core under the tip"},
                 "sleeve": {"a loose (dilated) sleeve along the shaft"}, "first": {"down_in_order"}}
@@ -233,8 +242,9 @@ def check_verdicts(folder):
         found = claims_of(os.path.join(folder, name), **how)
         wrong = {claim for claim, verdict in found.items() if not verdict}
         holds(f"of the claims only {', '.join(expected[name])} turn with {name}", wrong == expected[name])
-    holds("near a limit the verdict says so", claims.found("", lambda v: v > 1, pile_runs.Estimate([0.9, 1.3]), {}).verdict() == "agrees, within its error")
-    holds("far from it it does not", claims.found("", lambda v: v > 1, pile_runs.Estimate([1.9, 2.1]), {}).verdict() == "agrees")
+    for what, values, verdict in (("near a limit the verdict says so", (0.9, 1.3), "agrees, within its error"),
+                                  ("far from it it does not", (1.9, 2.1), "agrees")):
+        holds(what, claims.found("", lambda value: value > 1, pile_runs.Estimate(values), {}).verdict() == verdict)
 
 
 def claims_of(folder, **how):
@@ -271,7 +281,8 @@ def check_page(folder):
     holds("and needs nothing else", not re.search(r"(src|href)=.(?!data:|#)|<script", words))
     with open(os.path.join(folder, "page.json")) as file:
         holds("numbers stand beside it", any(claim["verdict"] == "agrees" for claim in json.load(file)["claims"]))
-    holds("pictures below 150 kB", all(os.path.getsize(os.path.join(folder, "pictures", n)) < 150_000 for n in os.listdir(os.path.join(folder, "pictures"))))
+    sizes = [entry.stat().st_size for entry in os.scandir(os.path.join(folder, "pictures"))]
+    holds("pictures below 150 kB", sizes and max(sizes) < 150_000)
     broken = os.path.join(folder, "broken")
     shutil.copytree(run, broken)
     with open(os.path.join(broken, "dem_history.csv"), "a") as file:
