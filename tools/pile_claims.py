@@ -367,6 +367,11 @@ CLAIMS = (
 )
 
 
+def finding_of(judge, *groups):
+    """What the claim that judge decides finds."""
+    return next(claim for claim in CLAIMS if claim.judge is judge).finding(*groups)
+
+
 def pair_of(groups):
     """The first coupled group and the first of particles only, or None."""
     first = [next((group for group in groups if group.kind == kind), None) for kind in (COUPLED, ALONE)]

@@ -173,12 +173,15 @@ def resistance_curves(groups):
     return entitle(figure, slope_title(groups))
 
 
+def share_of_early(judge, group):
+    """What a claim's late value is of the early one, in percent; None where the group does not tell."""
+    numbers = claims.finding_of(judge, group).numbers
+    return f"{100 * numbers['value'] / numbers['early']:.0f} %" if numbers else None
+
+
 def slope_title(groups):
-    told = []
-    for group in groups:
-        finding = next(c for c in claims.CLAIMS if c.judge is claims.plateau).finding(group)
-        if finding.holds is not None:
-            told.append(f"{100 * finding.numbers['value'] / finding.numbers['early']:.0f} % ({group.label})")
+    shares = [(share_of_early(claims.plateau, group), group.label) for group in groups]
+    told = [f"{share} ({label})" for share, label in shares if share]
     if not told:
         return "Tip resistance and shaft force against penetration"
     return f"Tip resistance: the slope after S/D = 0.7 is {', '.join(told)} of the first slope"
@@ -194,6 +197,12 @@ def hole_of(polygons):
     bottom = near_axis[:, 1].max() if len(near_axis) else points[:, 1].min()
     above = points[points[:, 1] > bottom + 1e-6]
     return (np.abs(above[:, 0]).min(), bottom) if len(above) else (0.0, np.inf)
+
+
+def contour_levels(limit):
+    """Round values of compression, from an eighth of the limit to the limit."""
+    steps = np.outer(10.0 ** np.arange(-3, 7), (1, 2, 5)).ravel()
+    return -steps[(steps >= limit / 8) & (steps < limit)][::-1]
 
 
 def paint_contours(axes, polygons, values, levels):
@@ -235,7 +244,7 @@ def bulb_sections(groups):
         whole.set(cmap="YlOrRd_r", clim=(-deepest, 0), edgecolor="face")
         bulb = paint_zones(axes[1, column], polygons, change, limit, linewidth=0)
         bulb.set_edgecolor("face")
-        paint_contours(axes[1, column], polygons, change, limit * np.array([-1, -0.5, -0.25, -0.125]))
+        paint_contours(axes[1, column], polygons, change, contour_levels(limit))
         for panel in axes[:, column]:
             pile_in(panel, run, at, high + 1)
             panel.set(xlim=(-half, half), ylim=(low, high), aspect="equal")
@@ -245,7 +254,9 @@ def bulb_sections(groups):
         panel.set_ylabel("z [m]")
     figure.colorbar(whole, ax=list(axes[0]), extend="min", aspect=14).set_label("vertical stress [kPa]")
     figure.colorbar(bulb, ax=list(axes[1]), extend="both", aspect=14).set_label("its change [kPa]")
-    return entitle(figure, "Vertical stress in the ground: the bulb under the tip grows with S/D")
+    share = share_of_early(claims.steady_bulb, group)
+    rate = f"; after S/D = 0.7 it changes at {share} of its rate before" if share else ""
+    return entitle(figure, f"The bulb of vertical stress in the ground{rate}")
 
 
 def bulb_growth(groups):
