@@ -67,6 +67,16 @@ TEST_CASE("Moduli, strength and the calibration's search give what made-up tests
   CHECK(fit.exit_code == 0);
 }
 
+TEST_CASE("tools/report measures and judges made-up runs as they were made, and refuses what is none") {
+  // The script derives each answer and prints what it checked.
+  const Outcome report = run("tests/common/check_pile_report.py");
+  INFO(report.text);
+  CHECK(report.exit_code == 0);
+  const Outcome help = run("tools/report --help");
+  CHECK(help.exit_code == 0);
+  CHECK(contains(help.text, "tools/report runs/coupled runs/particles_only"));
+}
+
 TEST_CASE("tools/triaxial and tools/calibrate refuse what cannot work, in words") {
   const Outcome pressures = run("tools/triaxial --pressures 100e3,none");
   CAPTURE(pressures.text);
