@@ -16,6 +16,7 @@ CLOSE_SHARE = 0.5  # of the largest contacts: most of them
 DECAY_SHARE = 0.5  # of the mean force within D/2: what is left from D to 3D/2
 # The wedge that a footing drives before it: with 45 degrees and half of a friction angle of 35 at its sides it is 0.96 D deep.
 CORE = Region((0, 0), (0.5, 0), (0, 1))
+COLUMN = Region((0, 0.25), (0.5, 0.25), (0.5, 1), (0, 1))
 SLEEVE = Region((0.5, 0), (0.75, 0), (0.75, -2), (0.5, -2))
 ERRORS = 2  # standard errors that a change must exceed
 ON_AXIS, AT_LEVEL = 0.1, 0.1  # of S: what counts as unmoved
@@ -349,6 +350,9 @@ CLAIMS = (
     Claim("Fig. 11", "a dense core under the tip",
           f"porosity in the cone under the tip, {CORE.corners[:, 1].max():g} D deep, S/D = {LATE[0]:g}: lower than at S = 0 at the same "
           f"place, and than under the tip then, each by more than {ERRORS} standard errors", porosity_claim(CORE, -1)),
+    Claim("Fig. 11", "which is as wide as the pile",
+          f"the same of the column under the tip, {COLUMN.corners[:, 1].min():g} to {COLUMN.corners[:, 1].max():g} D deep and as wide as the pile",
+          porosity_claim(COLUMN, -1)),
     Claim("Fig. 11", "a loose (dilated) sleeve along the shaft",
           f"porosity within {np.ptp(SLEEVE.corners[:, 0]):g} D of the shaft, 0 to {-SLEEVE.corners[:, 1].min():g} D above the tip, S/D = "
           f"{LATE[0]:g}: higher than at S = 0 at the same place, and than as far from the tip then, each by more than {ERRORS} standard errors",

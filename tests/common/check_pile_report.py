@@ -236,7 +236,8 @@ def check_verdicts(folder):
     turned = {"late": dict(late=9.0), "falls": dict(late=-1.0), "bulb": dict(bulb=lambda s: s), "core": dict(core=0.0),
               "sleeve": dict(sleeve=0.0),
               "first": dict(first=0.3)}
-    expected = {"late": {"plateau", "limit_reached"}, "falls": {"plateau"}, "bulb": {"steady_bulb"}, "core": {"a dense core under the tip"},
+    expected = {"late": {"plateau", "limit_reached"}, "falls": {"plateau"}, "bulb": {"steady_bulb"},
+                "core": {"a dense core under the tip", "which is as wide as the pile"},
                 "sleeve": {"a loose (dilated) sleeve along the shaft"}, "first": {"down_in_order"}}
     for name, how in turned.items():
         found = claims_of(os.path.join(folder, name), **how)
