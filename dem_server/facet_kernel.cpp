@@ -19,8 +19,8 @@ LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
 LOCKSTEP_INLINE Lanes size_of(Lanes v) { return larger(v, -v); }
 LOCKSTEP_INLINE Lanes3 over(const Lanes3& a, Lanes s) { return {a.x / s, a.y / s, a.z / s}; }
 
-std::int32_t find_near(const FacetSurface& s, const FacetPairs& pairs, std::int32_t begin, std::int32_t end, double reach,
-                       std::int32_t* near) {
+std::int32_t find_near(const FacetSurface& s, const FacetPairs& pairs, std::int32_t begin, std::int32_t end,
+                       double reach, std::int32_t* near) {
   std::int32_t count = 0;
   for (std::int32_t k = begin; k < end; k += width) {
     const int filled = end - k < width ? end - k : width;

@@ -55,8 +55,8 @@ struct FacetKernels {
   std::int32_t (*find_near)(const FacetSurface&, const FacetPairs&, std::int32_t begin, std::int32_t end, double reach,
                             std::int32_t* near);
   // The feet of `count` pairs `near`.
-  void (*find_feet)(const FacetSurface&, const FacetPairs&, const std::int32_t* near, std::int32_t count, FaceFoot* feet,
-                    FaceContact* contacts);
+  void (*find_feet)(const FacetSurface&, const FacetPairs&, const std::int32_t* near, std::int32_t count,
+                    FaceFoot* feet, FaceContact* contacts);
   // What is written needs room for facet_block more than there are.
 };
 

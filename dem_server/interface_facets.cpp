@@ -646,7 +646,8 @@ void InterfaceFacets::press(Particles& particles, const Toucher& pebble, const P
   }
   ContactHistory history = inherited(pebble, shares->facet, push.normal);
   const Vec3 approach = facet_velocity - particles.velocity_at(pebble.body, point);  // eq. 4
-  const ContactResult result = contact_force(pebble.law, push.normal, push.overlap, approach, pebble.time_step, history);
+  const ContactResult result =
+      contact_force(pebble.law, push.normal, push.overlap, approach, pebble.time_step, history);
   const Vec3& force = result.force_on_a;
   particles.add_force(pebble.body, point, force);  // eq. 12
 
@@ -654,9 +655,13 @@ void InterfaceFacets::press(Particles& particles, const Toucher& pebble, const P
                            push.share_count, point, force, push.overlap, pebble.law.normal_stiffness,
                            pebble.law.shear_stiffness});
   const Vec3 shear = force - force.dot(push.normal) * push.normal;
-  const Sums sums = {result.normal_force, pebble.transfers_moment ? 0.0 : 0.5 * push.overlap * shear.norm(),
-                     contact_energy(pebble.law, push.overlap, history), result.slip_work,
-                     result.dashpot_power * pebble.time_step, force.dot(facet_velocity), push.overlap / pebble.radius};
+  const Sums sums = {result.normal_force,
+                     pebble.transfers_moment ? 0.0 : 0.5 * push.overlap * shear.norm(),
+                     contact_energy(pebble.law, push.overlap, history),
+                     result.slip_work,
+                     result.dashpot_power * pebble.time_step,
+                     force.dot(facet_velocity),
+                     push.overlap / pebble.radius};
   if (part.is_first)
     book(part.contacts.back(), shares, sums, pebble.transfers_moment);
   else
@@ -678,8 +683,8 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
                      end_pair = candidates_.extra_begin(end_candidate);
   part.near.resize(static_cast<std::size_t>(end_pair - first_pair + facet_block));
   std::int32_t* const near = part.near.data();
-  const std::int32_t count = kernels_.find_near(surface, pairs, first_pair, end_pair,
-                                                travel_ - box_travel_ + box_slack * smallest_, near);
+  const std::int32_t count =
+      kernels_.find_near(surface, pairs, first_pair, end_pair, travel_ - box_travel_ + box_slack * smallest_, near);
 
   const auto next_previous = [&](std::size_t i, std::int32_t pebble) {
     while (i < previous_.size() && previous_[i].pebble < pebble) ++i;
@@ -733,7 +738,8 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
       const double radius = particles.pebble_radius(id);
       if (is_known && touching == 1) {
         const FaceFoot& foot = part.face_feet[static_cast<std::size_t>(at - begin)];
-        part.shares.push_back({facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]}});
+        part.shares.push_back(
+            {facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]}});
         press(particles, toucher(id, pair_body_[near[k]], center, radius),
               {foot.overlap, Vec3(-foot.nx, -foot.ny, -foot.nz), 1}, part);
         part.tunnelled += foot.overlap > (1 + tunnel_depth) * radius;
@@ -785,7 +791,8 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
     const auto before = static_cast<std::int32_t>(shares_.size());
     for (std::size_t c = 0; c < part.contacts.size(); ++c) {
       Contact& contact = contacts_.emplace_back(part.contacts[c]);
-      book(contact, &part.shares[static_cast<std::size_t>(contact.first_share)], part.sums[c], material.transfers_moment);
+      book(contact, &part.shares[static_cast<std::size_t>(contact.first_share)], part.sums[c],
+           material.transfers_moment);
       contact.first_share += before;
     }
     shares_.insert(shares_.end(), part.shares.begin(), part.shares.end());

@@ -257,9 +257,9 @@ class InterfaceFacets {
     ContactHistory history;
     std::int32_t pebble = -1, body = -1;
     std::int32_t first_share = 0, share_count = 0;
-    Vec3 point = Vec3::Zero(), force = Vec3::Zero();         // [m], [N]
-    double overlap = 0;                                      // [m]
-    double normal_stiffness = 0, shear_stiffness = 0;        // [N/m]
+    Vec3 point = Vec3::Zero(), force = Vec3::Zero();   // [m], [N]
+    double overlap = 0;                                // [m]
+    double normal_stiffness = 0, shear_stiffness = 0;  // [N/m]
 
     ContactView view() const {
       return {body, -1, point, history.normal, overlap, normal_stiffness, shear_stiffness, force};
@@ -267,8 +267,8 @@ class InterfaceFacets {
   };
   // The shortest push that frees a pebble of the facets of one contact, whose shares are the last ones found.
   struct Push {
-    double overlap;            // its length [m]
-    Vec3 normal;               // unit, from grain to facet
+    double overlap;  // its length [m]
+    Vec3 normal;     // unit, from grain to facet
     std::int32_t share_count;
   };
   // A pebble that touches.
@@ -277,7 +277,7 @@ class InterfaceFacets {
     Vec3 center;    // [m]
     double radius;  // [m]
     ContactMaterial law;
-    double time_step;                         // [s]
+    double time_step;  // [s]
     bool transfers_moment;
     std::size_t first_previous, end_previous;  // its contacts of the last step
   };
@@ -308,9 +308,9 @@ class InterfaceFacets {
   };
   // How the four nodes of a real facet turn.
   struct Turn {
-    Vec3 mean = Vec3::Zero();      // of the nodes [m]
-    Mat3 inverse = Mat3::Zero();   // I^-1 [1/m2]
-    Vec3 spin = Vec3::Zero();      // w [rad/s]
+    Vec3 mean = Vec3::Zero();     // of the nodes [m]
+    Mat3 inverse = Mat3::Zero();  // I^-1 [1/m2]
+    Vec3 spin = Vec3::Zero();     // w [rad/s]
   };
 
   Vec3 place_of(std::int32_t node) const { return {nodes_[node].x, nodes_[node].y, nodes_[node].z}; }
@@ -319,7 +319,8 @@ class InterfaceFacets {
   void update_boxes();
   void list_facets(Neighborhood& near, const Vec3& center, double radius) const;
   void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
-  void find_feet(const std::int32_t* near, const std::int32_t* end, const Vec3& center, double radius, Part& part) const;
+  void find_feet(const std::int32_t* near, const std::int32_t* end, const Vec3& center, double radius,
+                 Part& part) const;
   bool shares_feature(const Foot& foot, std::int32_t facet) const;
   bool is_open(const Foot& foot) const;
   bool are_adjacent(std::int32_t facet_a, std::int32_t facet_b) const;
@@ -343,8 +344,8 @@ class InterfaceFacets {
   std::vector<char> is_open_node_;  // contact nodes: on an open edge
   // Contact geometry: real nodes, then the collar's virtual ones. Velocities are those of the last compute().
   std::vector<FacetNode> nodes_;
-  std::vector<std::int32_t> real_node_;  // itself, or the node below
-  double collar_height_ = 0;             // [m]
+  std::vector<std::int32_t> real_node_;                   // itself, or the node below
+  double collar_height_ = 0;                              // [m]
   std::vector<std::array<std::int32_t, 4>> facet_nodes_;  // of contact geometry; facets: real, then collar
   std::vector<Facet> facets_;
   std::size_t real_facet_count_ = 0;
@@ -366,10 +367,10 @@ class InterfaceFacets {
   std::vector<Part> parts_;         // one a thread
 
   std::vector<Load> node_load_, facet_load_;  // while they are summed
-  Vec3s nodal_force_;                    // [N]
-  Vec3s facet_force_;                    // [N]
-  std::vector<double> node_stiffness_;   // [N/m]
-  std::vector<double> facet_stiffness_;  // [N/m]
+  Vec3s nodal_force_;                         // [N]
+  Vec3s facet_force_;                         // [N]
+  std::vector<double> node_stiffness_;        // [N/m]
+  std::vector<double> facet_stiffness_;       // [N/m]
   FacetTotals totals_;
   std::size_t tunnelled_ = 0;
 };
