@@ -18,8 +18,8 @@ constexpr double skin = 0.5;
 constexpr double box_drift = 0.001;
 // What rounding may take from a distance to a box, over the smallest facet.
 constexpr double box_slack = 1e-9;
-// Pairs that are looked at together: what the next block gathers of its bodies is under way meanwhile.
-constexpr std::int32_t pair_block = 8;
+// Pairs whose feet are found together, and how many ahead the bodies' records are fetched: fewer and more were slower.
+constexpr std::int32_t pair_block = 8, pairs_ahead = 24;
 // A centre deeper than this times R behind the surface counts as tunnelled.
 constexpr double tunnel_depth = 0.5;
 // Closer to an edge than this times R, the direction from the edge to the centre is round-off: the facets' normals
@@ -668,8 +668,17 @@ void InterfaceFacets::press(Particles& particles, const Toucher& pebble, const P
     part.sums.push_back(sums);
 }
 
-// Pebbles whose feet inside faces are all that they have, one that touches, need no more: 97 of 100 that touch. The others are
-// looked at facet by facet.
+// The contacts of a pebble's local minima.
+void InterfaceFacets::press_minima(Particles& particles, const Toucher& pebble, Part& part) {
+  bool is_tunnelled = false;
+  for (std::size_t seed = 0; seed < part.minima.size(); ++seed) {
+    if (part.minima[seed].is_taken) continue;
+    is_tunnelled |= part.minima[seed].distance < -tunnel_depth * pebble.radius;
+    press(particles, pebble, merge(part, seed, pebble.radius), part);
+  }
+  part.tunnelled += is_tunnelled;
+}
+
 void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& material, double dt,
                                     const PebbleRange& range, Part& part) {
   part.contacts.clear(), part.shares.clear(), part.sums.clear();
@@ -683,8 +692,8 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
                      end_pair = candidates_.extra_begin(end_candidate);
   part.near.resize(static_cast<std::size_t>(end_pair - first_pair + facet_block));
   std::int32_t* const near = part.near.data();
-  const std::int32_t count =
-      kernels_.find_near(surface, pairs, first_pair, end_pair, travel_ - box_travel_ + box_slack * smallest_, near);
+  const double reach = travel_ - box_travel_ + box_slack * smallest_;
+  const std::int32_t count = kernels_.find_near(surface, pairs, first_pair, end_pair, reach, near);
 
   const auto next_previous = [&](std::size_t i, std::int32_t pebble) {
     while (i < previous_.size() && previous_[i].pebble < pebble) ++i;
@@ -694,7 +703,7 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
       std::partition_point(previous_.begin(), previous_.end(),
                            [&](const Contact& contact) { return contact.pebble < range.begin; }) -
       previous_.begin());
-  const auto toucher = [&](std::int32_t pebble, std::int32_t body, const Vec3& center, double radius) {
+  const auto toucher = [&](std::int32_t pebble, std::int32_t body) {
     ContactMaterial law;
     law.normal_stiffness = material.normal_stiffness(particles.equivalent_radius(body));
     law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
@@ -703,18 +712,20 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
       law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(body));
     const std::size_t first_previous = next_previous(previous, pebble);
     previous = next_previous(first_previous, pebble + 1);
-    return Toucher{pebble, body, center, radius, law, dt, material.transfers_moment, first_previous, previous};
+    return Toucher{pebble,  body, particles.pebble_center(pebble), particles.pebble_radius(pebble),
+                   law,     dt,   material.transfers_moment,       first_previous,
+                   previous};
   };
   const auto end_of_block = [&](std::int32_t k) {  // no pebble lies in two
     k = std::min(k + pair_block, count);
-    while (k > 0 && k < count && pair_pebble_[near[k]] == pair_pebble_[near[k - 1]]) ++k;
+    while (k < count && pair_pebble_[near[k]] == pair_pebble_[near[k - 1]]) ++k;
     return k;
   };
 
   std::int32_t fetched = 0;
   for (std::int32_t begin = 0, end = 0; begin < count; begin = end) {
     end = end_of_block(begin);
-    for (; fetched < std::min(end + 3 * pair_block, count); ++fetched) {
+    for (; fetched < std::min(end + pairs_ahead, count); ++fetched) {
       const std::int32_t body = pair_body_[near[fetched]];
       __builtin_prefetch(&particles.bodies()[body]);
       __builtin_prefetch(&particles.motion()[body]);
@@ -734,27 +745,16 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
         is_known = is_known && contact != FaceContact::Unknown;
       }
       if (is_known && touching == 0) continue;
-      const Vec3 center = particles.pebble_center(id);
-      const double radius = particles.pebble_radius(id);
-      if (is_known && touching == 1) {
-        const FaceFoot& foot = part.face_feet[static_cast<std::size_t>(at - begin)];
-        part.shares.push_back(
-            {facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]}});
-        press(particles, toucher(id, pair_body_[near[k]], center, radius),
-              {foot.overlap, Vec3(-foot.nx, -foot.ny, -foot.nz), 1}, part);
-        part.tunnelled += foot.overlap > (1 + tunnel_depth) * radius;
+      const Toucher pebble = toucher(id, pair_body_[near[k]]);
+      if (!is_known || touching > 1) {
+        find_feet(near + k, near + end_k, pebble.center, pebble.radius, part);
+        press_minima(particles, pebble, part);
         continue;
       }
-      find_feet(near + k, near + end_k, center, radius, part);
-      if (part.minima.empty()) continue;
-      const Toucher pebble = toucher(id, pair_body_[near[k]], center, radius);
-      bool is_tunnelled = false;
-      for (std::size_t seed = 0; seed < part.minima.size(); ++seed) {
-        if (part.minima[seed].is_taken) continue;
-        is_tunnelled |= part.minima[seed].distance < -tunnel_depth * radius;
-        press(particles, pebble, merge(part, seed, radius), part);
-      }
-      part.tunnelled += is_tunnelled;
+      const FaceFoot& foot = part.face_feet[static_cast<std::size_t>(at - begin)];
+      part.shares.push_back({facet_of[near[at]], 1, {foot.weight[0], foot.weight[1], foot.weight[2], foot.weight[3]}});
+      press(particles, pebble, {foot.overlap, Vec3(-foot.nx, -foot.ny, -foot.nz), 1}, part);
+      part.tunnelled += foot.overlap > (1 + tunnel_depth) * pebble.radius;
     }
   }
 }

@@ -56,8 +56,17 @@
 // touched; those that can touch one before the pair lists are renewed are candidates, and the step looks at no others.
 // The result does not depend on the lists.
 //
+//   candidates' pairs --(boxes)--> near pairs --(Newton)--> one foot, inside a face ------------> contact
+//                   eight at a time                    \--> others: closest_point(), rules 1, 2 --> contacts
+//
+// FACES FIRST. Kernels (facet_kernel.hpp) drop the pairs whose box is out of reach and find the feet that lie inside
+// faces, with the bits of closest_point(). Where a pebble has one foot in reach and that is one of these, it has one
+// contact and rules 1 and 2 have nothing to say: so are 97 of 100 contacts of the paper's pile. The others, on edges, at
+// corners and in concave places, are found facet by facet. Bodies' records are the dearest of what is left: they are
+// fetched some pairs ahead.
+//
 // THREADS own bodies. Each finds the contacts of its pebbles and loads its bodies; the nodes, which many contacts share,
-// and the totals are summed afterwards, in the order of pebbles.
+// and the totals are summed in the order of pebbles: by the first thread as it goes, for the others afterwards.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -329,6 +338,7 @@ class InterfaceFacets {
   void find_contacts(Particles& particles, const FacetMaterial& material, double dt, const PebbleRange& range,
                      Part& part);
   void press(Particles& particles, const Toucher& pebble, const Push& push, Part& part);
+  void press_minima(Particles& particles, const Toucher& pebble, Part& part);
   ContactHistory inherited(const Toucher& pebble, std::int32_t facet, const Vec3& normal);
   void find_turns();
   Vec3 lever_of(const Share& share, const Vec3& point) const;
