@@ -612,7 +612,7 @@ class Stages {
     h.add(std::span<const Vec3>(ground_.motion.velocity));
     report_.state_hash = h.value();
     report_.position_hash = ground_.interface.position_hash();
-    if (ground_.step % settings_.history_interval != 0) files_.add_history(ground_, initial_);
+    files_.add_history(ground_, initial_);
     take_snapshot();
     files_.write_interface(ground_,
                            traction_.empty() ? Vec3s(ground_.interface.facet_count(), Vec3::Zero()) : traction_);
