@@ -53,6 +53,13 @@ double vertical_pressure(const std::vector<protocol::StressProfilePoint>& p, dou
   return -p.back().vertical;
 }
 
+// Interface, pile and walls stand still from here on.
+void hold(Model& m) {
+  m.facets.set_offsets(Vec3s(m.facets.offsets()));
+  if (m.pile) m.pile->set_velocity(0);
+  m.walls.set_moving(false, false);
+}
+
 class GrainsRun {
  public:
   GrainsRun(const SceneFile& scene, std::unique_ptr<protocol::Channel> channel, const RunOptions& options)
@@ -188,9 +195,7 @@ void GrainsRun::balance() {
     make_packing();
 
   Model& m = *model_;
-  m.facets.set_offsets(Vec3s(m.facets.offsets()));  // frozen: their velocity is zero from here on
-  if (m.pile) m.pile->set_velocity(0);
-  m.walls.set_moving(false, false);
+  hold(m);
   m.detail = Detail::All;
   std::optional<PackingState> kept;
   if (!given && !path.empty()) {
