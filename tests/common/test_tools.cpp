@@ -67,6 +67,16 @@ TEST_CASE("Moduli, strength and the calibration's search give what made-up tests
   CHECK(fit.exit_code == 0);
 }
 
+TEST_CASE("tools/report measures and judges made-up runs as they were made, and refuses what is none") {
+  // The script derives each answer and prints what it checked.
+  const Outcome report = run("tests/common/check_pile_report.py");
+  INFO(report.text);
+  CHECK(report.exit_code == 0);
+  const Outcome help = run("tools/report --help");
+  CHECK(help.exit_code == 0);
+  CHECK(contains(help.text, "tools/report runs/coupled runs/particles_only"));
+}
+
 TEST_CASE("tools/triaxial and tools/calibrate refuse what cannot work, in words") {
   const Outcome pressures = run("tools/triaxial --pressures 100e3,none");
   CAPTURE(pressures.text);
@@ -82,4 +92,28 @@ TEST_CASE("tools/triaxial and tools/calibrate refuse what cannot work, in words"
   CAPTURE(seeds.text);
   CHECK(seeds.exit_code == 1);
   CHECK(contains(seeds.text, "--seeds one"));
+}
+
+TEST_CASE("A study of cases finds the means, scatter and paired changes that made-up runs were made of") {
+  // The script derives each answer and prints the errors.
+  const Outcome study = run("tests/common/check_study.py");
+  INFO(study.text);
+  CHECK(study.exit_code == 0);
+}
+
+TEST_CASE("tools/study refuses what cannot work, in words") {
+  const Outcome seeds = run("tools/study pile_quick --seeds one");
+  CAPTURE(seeds.text);
+  CHECK(seeds.exit_code == 1);
+  CHECK(contains(seeds.text, "--seeds one"));
+
+  const Outcome twice = run("tools/study pile_quick --case base --case base:run.damping=0.1");
+  CAPTURE(twice.text);
+  CHECK(twice.exit_code == 1);
+  CHECK(contains(twice.text, "two of them have one name"));
+
+  const Outcome unwritable = run("tools/study pile_quick --out /proc/lockstep");
+  CAPTURE(unwritable.text);
+  CHECK(unwritable.exit_code == 2);
+  CHECK(contains(unwritable.text, "/proc/lockstep"));
 }
