@@ -68,6 +68,19 @@ LOCKSTEP_INLINE bool any(Mask m) {
 #endif
 }
 
+// Bit l says whether lane l is set.
+LOCKSTEP_INLINE unsigned bits(Mask m) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi64_mask((__m512i)m, (__m512i)m);
+#elif defined(__AVX2__)
+  return static_cast<unsigned>(_mm256_movemask_pd((__m256d)m));
+#else
+  unsigned all = 0;
+  for (int l = 0; l < width; ++l) all |= m[l] != 0 ? 1u << l : 0u;
+  return all;
+#endif
+}
+
 // ---- vectors in space, lane by lane
 
 struct Lanes3 {

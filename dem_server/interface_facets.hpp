@@ -66,10 +66,12 @@
 #include <vector>
 
 #include "common/hash.hpp"
+#include "common/instructions.hpp"
 #include "common/parallel.hpp"
 #include "common/shape_functions.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/contact_law.hpp"
+#include "dem_server/facet_kernel.hpp"
 #include "dem_server/particles.hpp"
 #include "dem_server/travel.hpp"
 #include "dem_server/wall_candidates.hpp"
@@ -113,6 +115,8 @@ struct FacetMaterial {
   }
 };
 
+FacetKernels facet_kernels(InstructionSet instructions);
+
 struct FacetTotals {
   std::size_t contacts = 0;
   Vec3 particle_force = Vec3::Zero();   // sum of the facets' forces on the grains [N]
@@ -125,18 +129,16 @@ struct FacetTotals {
   double power = 0;                     // of the facets on the grains, sum of F_grain . v_facet [W]
   double max_overlap = 0;               // largest U / R of a pebble
   std::size_t tunnelled = 0;            // pebbles whose centre is deeper than R/2 behind the surface
-
-  void add(const FacetTotals& other);
 };
 
-// One contact: a pebble and one facet, or the few facets that meet at a shallow concave edge.
+// One contact: a pebble and one facet, or the few facets that meet at a shallow concave edge. As files and tests see it;
+// inside it takes less room.
 struct FacetContact {
   static constexpr std::size_t max_shares = 3;
   struct Share {
     std::int32_t facet = -1;          // collar facets count on after the real ones
     double share = 0;                 // w_i; the shares of a contact sum to 1
     std::array<double, 4> weights{};  // N_j at the foot on this facet
-    Vec3 lever = Vec3::Zero();        // from sum N_j x_j of the real nodes to x_C, where moments are transferred [m]
   };
   std::int32_t pebble = -1;
   std::int32_t body = -1;
@@ -170,7 +172,8 @@ class InterfaceFacets {
   InterfaceFacets() = default;
   // `facets` index `nodes`; their order gives the normal into the grains. `collar_height` 0: no collar [m]. InputError
   // when an index is out of range or a facet has no area.
-  InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets, double collar_height);
+  InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets, double collar_height,
+                  FacetKernels kernels = facet_kernels(best_instructions()));
 
   // Continuum's positions: x += v dt, per component and in this order, as the continuum does it, and v becomes the
   // velocity for the contact law. One velocity a node. [m/s], [s]
@@ -192,7 +195,7 @@ class InterfaceFacets {
   std::size_t node_count() const { return position_.size(); }
   std::size_t facet_count() const { return real_facet_count_; }
   std::size_t collar_count() const { return facets_.size() - real_facet_count_; }
-  const std::array<std::int32_t, 4>& nodes_of(std::size_t facet) const { return facets_[facet].nodes; }
+  const std::array<std::int32_t, 4>& nodes_of(std::size_t facet) const { return facet_nodes_[facet]; }
   // Contact geometry; collar facets follow the real ones.
   FacetCorners corners(std::size_t facet) const;
   Vec3 area_vector(std::size_t facet) const { return facet_area_vector(corners(facet)); }  // into the grains [m2]
@@ -209,32 +212,26 @@ class InterfaceFacets {
   const std::vector<double>& node_stiffness() const { return node_stiffness_; }    // per node, sum of k_n N_j [N/m]
   const std::vector<double>& facet_stiffness() const { return facet_stiffness_; }  // per facet, sum of k_n [N/m]
   std::size_t tunnelled() const { return tunnelled_; }
-  const std::vector<FacetContact>& contacts() const { return contacts_; }  // by pebble, then by depth
+  std::size_t contact_count() const { return contacts_.size(); }
+  std::vector<FacetContact> contacts() const;  // by pebble, then by depth
   template <class Visitor>
   void for_each_contact(Visitor&& visit) const {
-    for (const FacetContact& contact : contacts_) visit(contact.view());
+    for (const Contact& contact : contacts_) visit(contact.view());
   }
 
   // Positions, offsets, velocities and springs.
   void hash(Hash& h) const;
   // Forgets the springs and the candidate lists; needed after pebbles were renumbered.
   void clear_history();
-  FacetState state() const { return {position_, offset_, velocity_, offset_velocity_, contacts_}; }
+  FacetState state() const { return {position_, offset_, velocity_, offset_velocity_, contacts()}; }
   // InputError when the sizes do not fit this surface.
   void restore(const FacetState& state);
 
  private:
   struct Facet {
-    std::array<std::int32_t, 4> nodes{};  // of contact geometry: real, then virtual
-    std::array<bool, 4> is_open_edge{};   // edge k is used by no other facet
-    std::int32_t below = -1;              // the facet that a force counts for: itself, or the one under the collar
-  };
-  // A box in the facet's own frame that holds it, for cheap rejection.
-  struct Box {
-    Vec3 center = Vec3::Zero();  // [m]
-    std::array<Vec3, 3> axis{};  // unit, orthogonal
-    Vec3 half = Vec3::Zero();    // half extents [m]
-    double distance(const Vec3& point) const;
+    std::array<std::int32_t, 4> real_nodes{};  // the nodes that a force counts for
+    std::array<bool, 4> is_open_edge{};        // edge k is used by no other facet
+    std::int32_t below = -1;                   // the facet that a force counts for: itself, or the one under the collar
   };
   struct Sphere {
     Vec3 center = Vec3::Zero();  // [m]
@@ -254,33 +251,90 @@ class InterfaceFacets {
     Vec3 normal = Vec3::Zero();  // unit, into the grains
     bool is_taken = false;
   };
+  using Share = FacetContact::Share;
+  // A contact without its shares: those stand one after the other in an array of their own.
+  struct Contact {
+    ContactHistory history;
+    std::int32_t pebble = -1, body = -1;
+    std::int32_t first_share = 0, share_count = 0;
+    Vec3 point = Vec3::Zero(), force = Vec3::Zero();   // [m], [N]
+    double overlap = 0;                                // [m]
+    double normal_stiffness = 0, shear_stiffness = 0;  // [N/m]
+
+    ContactView view() const {
+      return {body, -1, point, history.normal, overlap, normal_stiffness, shear_stiffness, force};
+    }
+  };
+  // The shortest push that frees a pebble of the facets of one contact, whose shares are the last ones found.
+  struct Push {
+    double overlap;  // its length [m]
+    Vec3 normal;     // unit, from grain to facet
+    std::int32_t share_count;
+  };
+  // A pebble that touches.
+  struct Toucher {
+    std::int32_t pebble, body;
+    Vec3 center;    // [m]
+    double radius;  // [m]
+    ContactMaterial law;
+    double time_step;  // [s]
+    bool transfers_moment;
+    std::size_t first_previous, end_previous;  // its contacts of the last step
+  };
+  // What a contact adds to the totals beside its force.
+  struct Sums {
+    double normal_force, neglected_moment, elastic_energy, slip_work, dashpot_work, power, overlap_ratio;
+  };
+  // What contacts put on a node or a facet, in half a cache line.
+  struct alignas(32) Load {
+    Vec3 force = Vec3::Zero();  // [N]
+    double stiffness = 0;       // [N/m]
+    void add(double share, const Contact& contact) {
+      force -= share * contact.force;
+      stiffness += share * contact.normal_stiffness;
+    }
+  };
   // What one thread finds in a step; its memory is kept.
   struct Part {
-    std::vector<Foot> feet, minima;  // of one pebble
-    std::vector<FacetContact> contacts;
-    std::vector<FacetTotals> totals;  // of each contact alone
+    std::vector<std::int32_t> near;          // pairs that may touch
+    std::vector<FaceFoot> face_feet;         // of a block of them
+    std::vector<FaceContact> face_contacts;  // of the same
+    std::vector<Foot> feet, minima;          // of a pebble for which these do not say all
+    std::vector<Contact> contacts;
+    std::vector<Share> shares;
+    std::vector<Sums> sums;  // of each contact
     std::size_t tunnelled = 0;
+    bool is_first = false;  // its contacts come first: they are booked at once
+  };
+  // How the four nodes of a real facet turn.
+  struct Turn {
+    Vec3 mean = Vec3::Zero();     // of the nodes [m]
+    Mat3 inverse = Mat3::Zero();  // I^-1 [1/m2]
+    Vec3 spin = Vec3::Zero();     // w [rad/s]
   };
 
+  Vec3 place_of(std::int32_t node) const { return {nodes_[node].x, nodes_[node].y, nodes_[node].z}; }
+  Vec3 velocity_of(std::int32_t node) const { return {nodes_[node].vx, nodes_[node].vy, nodes_[node].vz}; }
   void place_nodes();
   void update_boxes();
   void list_facets(Neighborhood& near, const Vec3& center, double radius) const;
   void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
-  void find_feet(const std::int32_t* facets, std::size_t count, const Vec3& center, double radius, Part& part) const;
+  void find_feet(const std::int32_t* near, const std::int32_t* end, const Vec3& center, double radius,
+                 Part& part) const;
   bool shares_feature(const Foot& foot, std::int32_t facet) const;
   bool is_open(const Foot& foot) const;
   bool are_adjacent(std::int32_t facet_a, std::int32_t facet_b) const;
   void set_side(Foot& foot, const Vec3& center, double radius, const std::vector<Foot>& feet) const;
-  void merge(std::vector<Foot>& minima, std::size_t seed, double radius, FacetContact& contact) const;
+  Push merge(Part& part, std::size_t seed, double radius) const;
   void find_contacts(Particles& particles, const FacetMaterial& material, double dt, const PebbleRange& range,
                      Part& part);
-  FacetTotals load(Particles& particles, const ContactMaterial& law, const Vec3& normal, double dt, double radius,
-                   bool transfers_moment, FacetContact& contact) const;
-  ContactHistory inherited(const FacetContact& contact, const Vec3& normal, std::size_t first, std::size_t last);
-  Mat3 inverse_spread(const std::array<std::int32_t, 4>& nodes, Vec3& mean) const;
-  void find_levers(FacetContact& contact) const;
-  void load_nodes(const FacetContact& contact, bool transfers_moment);
+  void press(Particles& particles, const Toucher& pebble, const Push& push, Part& part);
+  ContactHistory inherited(const Toucher& pebble, std::int32_t facet, const Vec3& normal);
+  void find_turns();
+  Vec3 lever_of(const Share& share, const Vec3& point) const;
+  void book(const Contact& contact, const Share* shares, const Sums& sums, bool transfers_moment);
 
+  FacetKernels kernels_{};
   // Real nodes.
   Vec3s position_;                  // t_n [m]
   Vec3s base_;                      // before the first of several parts [m]
@@ -288,31 +342,36 @@ class InterfaceFacets {
   Vec3s velocity_;                  // t_{n-1/2} [m/s]
   Vec3s offset_velocity_;           // [m/s]
   std::vector<char> is_open_node_;  // contact nodes: on an open edge
-  // Contact geometry: real nodes, then the collar's virtual ones.
-  Vec3s contact_position_;               // [m]
-  std::vector<std::int32_t> real_node_;  // itself, or the node below
-  double collar_height_ = 0;             // [m]
-  std::vector<Facet> facets_;            // real, then collar
+  // Contact geometry: real nodes, then the collar's virtual ones. Velocities are those of the last compute().
+  std::vector<FacetNode> nodes_;
+  std::vector<std::int32_t> real_node_;                   // itself, or the node below
+  double collar_height_ = 0;                              // [m]
+  std::vector<std::array<std::int32_t, 4>> facet_nodes_;  // of contact geometry; facets: real, then collar
+  std::vector<Facet> facets_;
   std::size_t real_facet_count_ = 0;
 
   double travel_ = 0;      // at least as far as any node has moved since the start [m]
   double box_travel_ = 0;  // travel_ when the boxes were made [m]
-  std::vector<Box> boxes_;
+  std::vector<FacetBox> boxes_;
   std::vector<Sphere> spheres_;  // around the facets
   double smallest_ = 0;          // radius of the smallest of them [m]
   std::vector<Neighborhood> neighborhoods_;
-  WallCandidates candidates_;
+  WallCandidates candidates_;  // with the facets that each may touch: pairs
+  std::vector<std::int32_t> pair_pebble_, pair_body_;
   double candidate_travel_ = 0;  // travel_ that the candidates know of [m]
 
-  std::vector<FacetContact> contacts_;
-  std::vector<FacetContact> previous_;
+  std::vector<Contact> contacts_, previous_;
+  std::vector<Share> shares_, previous_shares_;
+  std::vector<Turn> turns_;         // per real facet; where moments are transferred
   std::vector<char> is_inherited_;  // per previous contact: its spring has found a heir
   std::vector<Part> parts_;         // one a thread
 
-  Vec3s nodal_force_;                    // [N]
-  Vec3s facet_force_;                    // [N]
-  std::vector<double> node_stiffness_;   // [N/m]
-  std::vector<double> facet_stiffness_;  // [N/m]
+  std::vector<Load> node_load_, facet_load_;  // while they are summed
+  Vec3s nodal_force_;                         // [N]
+  Vec3s facet_force_;                         // [N]
+  std::vector<double> node_stiffness_;        // [N/m]
+  std::vector<double> facet_stiffness_;       // [N/m]
+  FacetTotals totals_;
   std::size_t tunnelled_ = 0;
 };
 

@@ -96,6 +96,9 @@ class WallCandidates {
   std::size_t extra_count(std::size_t i) const {
     return static_cast<std::size_t>(extra_begin_[i + 1] - extra_begin_[i]);
   }
+  // That of candidates before i, counted; and all of it, candidate by candidate.
+  std::int32_t extra_begin(std::size_t i) const { return extra_begin_[i]; }
+  const std::vector<std::int32_t>& extras() const { return extra_; }
   std::uint64_t renewals() const { return renewals_; }
 
  private:

@@ -4,6 +4,8 @@
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <functional>
+#include <memory>
+#include <string>
 
 #include "common/checks.hpp"
 #include "common/random.hpp"
@@ -405,7 +407,7 @@ TEST_CASE("Grains and nodes get opposite forces; the moments differ by |F_s| U/2
   p.spin(0) = Vec3(3, 5, -2);
   const FacetTotals totals = surface.compute(p, material(0.5), 1e-4);
   REQUIRE(totals.contacts == 1);
-  const FacetContact& contact = surface.contacts()[0];
+  const FacetContact contact = surface.contacts().at(0);
   CHECK((contact.foot - at).norm() < 1e-13);
 
   const Vec3 balance = p.force(0) + sum(surface.nodal_force());
@@ -487,7 +489,7 @@ TEST_CASE("With exact transfer the nodes get the whole moment, and the works sti
     const Gaps dropped = gaps_of(again, q, paper, 1e-4);
     INFO(c.name << ": force " << gaps.force << ", moment " << gaps.moment << " (eq. 13: " << dropped.moment
                 << "), power " << gaps.power);
-    REQUIRE(surface.contacts().size() == 1);
+    REQUIRE(surface.contact_count() == 1);
     CHECK(gaps.force < 1e-13);
     CHECK(gaps.moment < 1e-13);
     CHECK(gaps.power < 1e-12);
@@ -663,6 +665,156 @@ TEST_CASE("Candidate lists do not change the answer, nor does a restart") {
   CHECK_THROWS_AS(surface.restore(wrong), InputError);
 }
 
+namespace {
+
+// Let every pair through and know none of the feet: each contact is found facet by facet.
+const FacetKernels blind = {
+    [](const FacetSurface&, const FacetPairs&, std::int32_t begin, std::int32_t end, double, std::int32_t* near) {
+      for (std::int32_t k = begin; k < end; ++k) near[k - begin] = k;
+      return end - begin;
+    },
+    [](const FacetSurface&, const FacetPairs&, const std::int32_t*, std::int32_t count, FaceFoot*,
+       FaceContact* contacts) { std::fill_n(contacts, count, FaceContact::Unknown); }};
+
+}  // namespace
+
+TEST_CASE("Kernels know the feet inside faces that closest_point() finds, to the last bit") {
+  // Slanted parallelograms of 0.1 x 0.2 m whose corners are moved by up to `warp` along each axis.
+  struct Kind {
+    const char* name;
+    double warp;       // [m]
+    bool knows_faces;  // all feet inside faces
+  };
+  for (const InstructionSet set : known_instructions())
+    for (const Kind& kind : {Kind{"parallelogram", 0, true}, Kind{"warped as the ground deforms", 1e-4, true},
+                             Kind{"warped", 0.005, false}, Kind{"twisted", 0.08, false}}) {
+      Random random(12);
+      const FacetKernels kernels = facet_kernels(set);
+      const std::size_t count = 203;  // not a multiple of any block
+      std::vector<FacetNode> nodes;
+      std::vector<FacetCorners> corners;
+      std::vector<FacetBox> boxes(count);  // of no extent: everything is far from them
+      std::vector<std::array<std::int32_t, 4>> facets;
+      std::vector<std::int32_t> all(count);
+      std::vector<SphereRecord> spheres;
+      for (std::size_t k = 0; k < count; ++k) {
+        all[k] = static_cast<std::int32_t>(k);
+        const Vec3 along = 0.05 * Vec3(1, random.uniform(-0.3, 0.3), 0.2),
+                   across = 0.1 * Vec3(-0.2, 1, random.uniform(-1, 1));
+        const Vec3 middle(random.uniform(-5, 5), random.uniform(-5, 5), random.uniform(-5, 5));
+        FacetCorners x = {middle - along - across, middle + along - across, middle + along + across,
+                          middle - along + across};
+        for (Vec3& corner : x) {
+          corner += kind.warp * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+          nodes.push_back({corner.x(), corner.y(), corner.z(), 0, 0, 0, 0, 0});
+        }
+        const auto first = static_cast<std::int32_t>(4 * k);
+        facets.push_back({first, first + 1, first + 2, first + 3});
+        corners.push_back(x);
+        const double xi = random.uniform(-1.2, 1.2), eta = random.uniform(-1.2, 1.2);
+        const Vec3 normal = facet_tangent_xi(x, eta).cross(facet_tangent_eta(x, xi)).normalized();
+        const Vec3 c = interpolate(bilinear_weights(xi, eta), x) + random.uniform(-0.5, 1.05) * R * normal;
+        spheres.push_back({c.x(), c.y(), c.z(), R});
+      }
+      const FacetSurface surface = {spheres.data(), nodes.data(), boxes.data(),
+                                    reinterpret_cast<const std::int32_t(*)[4]>(facets.data())};
+      const FacetPairs pairs = {all.data(), all.data()};
+      std::vector<FaceFoot> feet(count + facet_block);
+      std::vector<FaceContact> contacts(count + facet_block);
+      kernels.find_feet(surface, pairs, all.data(), static_cast<std::int32_t>(count), feet.data(), contacts.data());
+      std::size_t touching = 0, faces = 0;
+      for (std::size_t k = 0; k < count; ++k) {
+        const Vec3 center(spheres[k].x, spheres[k].y, spheres[k].z);
+        const FacetPoint foot = closest_point(corners[k], center);
+        faces += foot.feature == FacetFeature::Face;
+        CAPTURE(name_of(set), kind.name, k, foot.xi, foot.eta);
+        if (contacts[k] == FaceContact::Unknown) {
+          REQUIRE_FALSE((kind.knows_faces && foot.feature == FacetFeature::Face));
+          continue;
+        }
+        REQUIRE(foot.feature == FacetFeature::Face);
+        REQUIRE((contacts[k] == FaceContact::Touching) == (foot.distance < R));
+        touching += contacts[k] == FaceContact::Touching;
+        for (std::size_t j = 0; j < 4; ++j) REQUIRE(feet[k].weight[j] == foot.weights[j]);
+        REQUIRE(Vec3(feet[k].nx, feet[k].ny, feet[k].nz) == foot.facet_normal);
+        REQUIRE(feet[k].overlap == R - (center - foot.point).dot(foot.facet_normal));
+      }
+      CAPTURE(name_of(set), kind.name, touching, faces);
+      CHECK(faces > 50);
+      CHECK((touching > 50) == (kind.warp < 0.05));  // a twisted one is left to closest_point()
+    }
+}
+
+TEST_CASE("Feet from kernels or one by one, any instructions, any number of threads: the same bits") {
+  // A cloud wanders in a hole with a collar whose nodes move: contacts on faces, edges, corners and the rim.
+  struct Way {
+    std::string name;
+    FacetKernels kernels;
+    int threads;
+    InterfaceFacets surface = {};
+    std::unique_ptr<Team> team = {};
+  };
+  for (const bool transfers_moment : {false, true}) {
+    const Mesh mesh = hole(16, 3, true);
+    std::vector<Way> ways;
+    ways.push_back({"one by one", blind, 1});
+    for (const InstructionSet set : known_instructions())
+      ways.push_back({std::string(name_of(set)), facet_kernels(set), 1});
+    ways.push_back({"3 threads", facet_kernels(best_instructions()), 3});
+    for (Way& way : ways) {
+      way.surface = InterfaceFacets(mesh.nodes, mesh.facets, 0.25, way.kernels);
+      way.team = std::make_unique<Team>(way.threads);
+    }
+    Random random(13);
+    Vec3s centers;
+    for (int i = 0; i < 400; ++i) {
+      const double angle = random.uniform(0, 2 * pi), r = 0.425 * std::sqrt(random.uniform());
+      centers.push_back({r * std::cos(angle), r * std::sin(angle), random.uniform(-0.59, 0.1)});
+    }
+    Particles p = spheres_at(centers);
+    FacetMaterial law = material(0.5);
+    law.damping_ratio = 0.1;
+    law.transfers_moment = transfers_moment;
+    std::size_t contacts = 0, shared = 0;
+    Vec3s velocity = still(ways[0].surface);
+    for (int step = 0; step < 60; ++step) {
+      for (std::size_t b = 0; b < p.body_count(); ++b) {
+        p.position(b) += 0.01 * random.uniform() * random.uniform() *
+                         Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+        p.velocity(b) = Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+      }
+      for (Vec3& v : velocity) v = 3 * Vec3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+      p.place_pebbles();
+      std::uint64_t first = 0;
+      for (Way& way : ways) {
+        p.clear_forces();
+        way.surface.advance(velocity, 1e-4);
+        const FacetTotals t = way.surface.compute(p, law, 1e-4, {}, *way.team);
+        Hash h;
+        way.surface.hash(h);
+        h.add(std::span<const Vec3>(forces_on(p)));
+        h.add(std::span<const Vec3>(way.surface.nodal_force()));
+        h.add(std::span<const Vec3>(way.surface.facet_force()));
+        for (const double k : way.surface.node_stiffness()) h.add(k);
+        for (const double k : way.surface.facet_stiffness()) h.add(k);
+        for (const Vec3& v : {t.particle_force, t.particle_moment}) h.add(v);
+        for (const double sum :
+             {t.normal_force, t.neglected_moment, t.elastic_energy, t.slip_work, t.dashpot_work, t.power, t.max_overlap,
+              static_cast<double>(t.contacts), static_cast<double>(t.tunnelled)})
+          h.add(sum);
+        if (&way == &ways[0]) first = h.value();
+        CAPTURE(way.name, step, transfers_moment);
+        REQUIRE(h.value() == first);
+      }
+      contacts += ways[0].surface.contact_count();
+      for (const FacetContact& c : ways[0].surface.contacts()) shared += c.share_count > 1;
+    }
+    CAPTURE(contacts, shared);
+    CHECK(contacts > 2000);
+    CHECK(shared > 20);
+  }
+}
+
 TEST_CASE("A surface without facets does nothing, and a wrong one is refused") {
   InterfaceFacets none;
   Particles p = spheres_at({Vec3::Zero()});
@@ -696,8 +848,9 @@ TEST_CASE("2000 random spheres on a random wavy surface: weights, sums and one c
 
   double worst_sum = 0, worst_weight = 0, size = 0;
   std::size_t with_two = 0, merged = 0;
-  for (std::size_t i = 0; i < surface.contacts().size(); ++i) {
-    const FacetContact& c = surface.contacts()[i];
+  const std::vector<FacetContact> contacts = surface.contacts();
+  for (std::size_t i = 0; i < contacts.size(); ++i) {
+    const FacetContact& c = contacts[i];
     double total = 0;
     for (int s = 0; s < c.share_count; ++s) {
       const FacetContact::Share& share = c.shares[static_cast<std::size_t>(s)];
@@ -708,7 +861,7 @@ TEST_CASE("2000 random spheres on a random wavy surface: weights, sums and one c
     }
     worst_sum = std::max(worst_sum, std::abs(total - 1));
     merged += c.share_count > 1;
-    if (i > 0 && surface.contacts()[i - 1].pebble == c.pebble) ++with_two;
+    if (i > 0 && contacts[i - 1].pebble == c.pebble) ++with_two;
     REQUIRE(std::isfinite(c.force.squaredNorm()));
     REQUIRE(std::abs(c.history.normal.norm() - 1) < 1e-12);
     REQUIRE(c.overlap > 0);
