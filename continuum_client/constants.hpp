@@ -73,11 +73,6 @@ inline constexpr double hole_tolerance = 1e-3;
 // Positions that agree to this share of the model's size lie in one support plane.
 inline constexpr double plane_tolerance = 1e-9;
 
-// Steps between copies of the state that a run which fails goes back to, and how far before the failure it must be: the alarms
-// come within a hundred steps.
-inline constexpr std::uint64_t good_state_interval = 500;
-inline constexpr std::uint64_t good_state_age = 100;
-
 // Newton's iteration for the place of a point in a zone: it doubles its digits with each step, so that after one of this size
 // nothing but round-off is left; a point that leads it so far from the cube -1 .. 1 is in another zone.
 inline constexpr int most_newton_steps = 30;

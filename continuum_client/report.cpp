@@ -33,7 +33,8 @@ void ResultFiles::find_places(const Grid& grid, const std::vector<char>& is_left
 }
 
 void ResultFiles::add_history(const CoupledGround& g, const InitialState& initial) {
-  if (!is_active()) return;
+  if (!is_active() || g.step <= last_row_) return;
+  last_row_ = g.step;
   if (g.coupled) {
     if (!coupled_history_)
       coupled_history_ = std::make_unique<History>(folder_ / "continuum_interface.csv", CoupledLedger::columns());

@@ -75,7 +75,8 @@ class ResultFiles {
   bool is_active() const { return !folder_.empty(); }
   // Looks up the scene's points, sections and lines in the zones with is_left, which stay. InputError for places outside.
   void find_places(const Grid& grid, const std::vector<char>& is_left);
-  // `initial` is the state that displacements start from.
+  // `initial` is the state that displacements start from. Steps rise from row to row: nothing for one that has its row, nor
+  // for one that a run that failed went back to.
   void add_history(const CoupledGround& ground, const InitialState& initial);
   // Zones with is_left, sections and lines; not twice for one step.
   void add_snapshot(const CoupledGround& ground, const InitialState& initial, const std::vector<char>& is_left);
@@ -94,6 +95,7 @@ class ResultFiles {
   std::optional<Observers> observers_;
   int snapshots_ = 0;
   std::uint64_t last_step_ = 0;  // of a snapshot
+  std::uint64_t last_row_ = 0;   // step of the history's
 };
 
 }  // namespace lockstep::continuum

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "common/checks.hpp"
+#include "common/good_states.hpp"
 #include "common/hash.hpp"
 #include "common/interrupt.hpp"
 #include "common/log.hpp"
@@ -532,22 +533,21 @@ class Stages {
   }
 
   void keep_good_state() {
-    if (good_states_.size() == 2) good_states_.erase(good_states_.begin());
     const CoupledGround& g = ground_;
-    good_states_.push_back({g.step, g.time, g.motion, g.interface.position, nullptr});
-    if (g.incremental) good_states_.back().incremental = std::make_unique<IncrementalForce>(*g.incremental);
+    good_states_.keep(
+        g.step, g.time,
+        {g.motion, g.interface.position, g.incremental ? std::make_unique<IncrementalForce>(*g.incremental) : nullptr});
   }
 
   // The newest state that the failure had not reached yet, if there is one.
   void return_to_good_state() {
     CoupledGround& g = ground_;
     const std::uint64_t failed_at = g.step;
-    while (!good_states_.empty() && good_states_.back().step + good_state_age > failed_at) good_states_.pop_back();
-    if (good_states_.empty()) return;
-    GoodState& good = good_states_.back();
-    g.step = good.step, g.time = good.time;
-    g.motion = good.motion, g.interface.position = good.position;
-    if (good.incremental) g.incremental = std::move(good.incremental);
+    auto* good = good_states_.before(failed_at, good_state_age);
+    if (!good) return;
+    g.step = good->step, g.time = good->time;
+    g.motion = good->state.motion, g.interface.position = good->state.position;
+    if (good->state.incremental) g.incremental = std::move(good->state.incremental);
     spdlog::error("failed at step {}; the last files show step {}, the last one known to be sound", failed_at, g.step);
   }
 
@@ -612,7 +612,7 @@ class Stages {
     h.add(std::span<const Vec3>(ground_.motion.velocity));
     report_.state_hash = h.value();
     report_.position_hash = ground_.interface.position_hash();
-    if (ground_.step % settings_.history_interval != 0) files_.add_history(ground_, initial_);
+    files_.add_history(ground_, initial_);
     take_snapshot();
     files_.write_interface(ground_,
                            traction_.empty() ? Vec3s(ground_.interface.facet_count(), Vec3::Zero()) : traction_);
@@ -635,15 +635,13 @@ class Stages {
   Vec3s traction_;             // per facet [Pa]
   std::vector<char> is_left_;  // per zone: not deleted at Excavate
   double next_snapshot_ = 0;   // as output.snapshot_interval
-  // What a run that fails goes back to, newest last.
+  // What a run that fails goes back to.
   struct GoodState {
-    std::uint64_t step = 0;
-    double time = 0;  // [s]
     Motion motion;
     Vec3s position;  // of the interface [m]
     std::unique_ptr<IncrementalForce> incremental;
   };
-  std::vector<GoodState> good_states_;
+  GoodStates<GoodState> good_states_;
   Clock::time_point begin_ = Clock::now(), stage_begin_, last_progress_;
 };
 

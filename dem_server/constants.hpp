@@ -94,11 +94,6 @@ inline constexpr std::uint32_t heartbeat_interval = 50;
 // well; an instability grows by a few times to many orders of magnitude in so many steps.
 inline constexpr std::uint32_t ledger_interval = 20;
 
-// Exchanges between copies of the state that a run which fails goes back to, and how far before the failure it must be: the
-// alarms come within a hundred steps.
-inline constexpr std::uint32_t good_state_interval = 500;
-inline constexpr std::uint32_t good_state_age = 100;
-
 // A node's contact stiffness is told anew when it has grown by this factor.
 inline constexpr double stiffness_growth = 1.1;
 

@@ -254,10 +254,36 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
   ++refreshes_;
 }
 
+Vec3 PairContacts::shift_between(const Particles& particles, std::int32_t i, std::int32_t j) const {
+  return nearest_image(particles.pebble_center(j) - particles.pebble_center(i), *period_);
+}
+
+// Those of `partners`, as many as fit into `near`, that the inner list takes.
+std::span<const std::int32_t> PairContacts::near_partners(const Particles& particles, std::int32_t i,
+                                                          const std::int32_t* partners,
+                                                          std::span<std::int32_t> near) const {
+  const SphereRecord* pebbles = particles.pebbles();
+  const char* is_fast = is_fast_.data();
+  const SphereRecord own = pebbles[i];
+  const double reach = own.radius + skin_;
+  std::size_t kept = 0;
+  for (std::size_t k = 0; k < near.size(); ++k) {
+    const std::int32_t j = partners[k];
+    double x = pebbles[j].x - own.x, y = pebbles[j].y - own.y, z = pebbles[j].z - own.z;
+    if (period_) {
+      const Vec3 shift = nearest_image({x, y, z}, *period_);
+      x += shift.x(), y += shift.y(), z += shift.z();
+    }
+    const double range = reach + pebbles[j].radius;
+    near[kept] = j;
+    kept += (x * x + y * y + z * z < range * range) | is_fast[i] | is_fast[j];
+  }
+  return near.first(kept);
+}
+
 void PairContacts::fill_chunk(const Particles& particles, std::size_t c, Chunk& scratch) {
   const OuterChunk& outer = outer_[c];
   Chunk& old = chunks_[c];
-  const SphereRecord* pebbles = particles.pebbles();
   {
     Writer writer(scratch, particles, period_.has_value());
     std::size_t known = 0;  // walks the present list along with the outer one: both are sorted by (i, j)
@@ -266,21 +292,15 @@ void PairContacts::fill_chunk(const Particles& particles, std::size_t c, Chunk& 
       return std::pair(tile.i[k % tile_size], tile.j[k % tile_size]);
     };
     const std::int32_t first = chunk_pebble(particles, c);
+    std::vector<std::int32_t> near;  // which of i's partners are
     for (std::size_t n = 0; n + 1 < outer.begin.size(); ++n) {
       const std::int32_t i = first + static_cast<std::int32_t>(n);
-      for (std::int32_t k = outer.begin[n]; k < outer.begin[n + 1]; ++k) {
-        const std::int32_t j = outer.partners[k];
-        Vec3 d(pebbles[j].x - pebbles[i].x, pebbles[j].y - pebbles[i].y, pebbles[j].z - pebbles[i].z);
-        Vec3 shift = Vec3::Zero();
-        if (period_) {
-          shift = nearest_image(d, *period_);
-          d += shift;
-        }
-        const double range = pebbles[i].radius + pebbles[j].radius + skin_;
-        if (!(d.squaredNorm() < range * range) && !is_fast_[i] && !is_fast_[j]) continue;
+      near.resize(static_cast<std::size_t>(outer.begin[n + 1] - outer.begin[n]));
+      for (const std::int32_t j : near_partners(particles, i, outer.partners.data() + outer.begin[n], near)) {
         while (known < old.count && pair_at(known) < std::pair(i, j)) ++known;
         const bool is_known = known < old.count && pair_at(known) == std::pair(i, j);
-        writer.add(i, j, shift, is_known ? spring_of(old.springs, known) : Vec3::Zero());
+        writer.add(i, j, period_ ? shift_between(particles, i, j) : Vec3::Zero(),
+                   is_known ? spring_of(old.springs, known) : Vec3::Zero());
       }
     }
   }

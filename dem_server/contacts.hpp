@@ -30,6 +30,7 @@
 #pragma once
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "common/hash.hpp"
@@ -141,6 +142,9 @@ class PairContacts {
   void adapt_skin();
   void rebuild_outer(const Particles& particles, Team& team);
   void refresh_inner(const Particles& particles, double ended_skin, Team& team);
+  Vec3 shift_between(const Particles& particles, std::int32_t i, std::int32_t j) const;
+  std::span<const std::int32_t> near_partners(const Particles& particles, std::int32_t i, const std::int32_t* partners,
+                                              std::span<std::int32_t> near) const;
   void fill_chunk(const Particles& particles, std::size_t chunk, Chunk& scratch);
   void fill_border(const Particles& particles, int thread);
   void share_out(const Particles& particles, int threads);

@@ -1,7 +1,7 @@
 // One time step of the grains. cycle.cpp is the place to start reading.
 //
 // The facets are the grains' boundary. Who moves them is a Boundary: the peer's velocities in a coupled run
-// (stages.cpp), the servo while the packing is balanced (servo.hpp). Both see the same step.
+// (exchange.hpp), the servo while the packing is balanced (servo.hpp). Both see the same step.
 #pragma once
 #include <cstdint>
 #include <memory>

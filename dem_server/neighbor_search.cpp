@@ -74,7 +74,7 @@ void NeighborSearch::sort(const Particles& particles, double reach, const std::o
   const int classes = largest < grid_size_ratio * smallest ? 1 : 1 + static_cast<int>(std::log2(largest / smallest));
   std::vector<std::vector<std::int32_t>> members(static_cast<std::size_t>(classes));
   for (std::int32_t p = 0; p < pebbles; ++p) {
-    const int of = static_cast<int>(std::log2(largest / particles.pebble_radius(p)));
+    const int of = classes > 1 ? static_cast<int>(std::log2(largest / particles.pebble_radius(p))) : 0;
     members[static_cast<std::size_t>(std::clamp(of, 0, classes - 1))].push_back(p);
   }
   for (const auto& group : members) {
@@ -107,54 +107,83 @@ void NeighborSearch::fill(Grid& grid, const Particles& particles, const std::vec
   for (std::size_t c = 1; c < grid.cell_begin.size(); ++c) grid.cell_begin[c] += grid.cell_begin[c - 1];
   std::vector<std::int32_t> next(grid.cell_begin.begin(), grid.cell_begin.end() - 1);
   grid.pebbles.resize(members.size());
-  for (std::size_t m = 0; m < members.size(); ++m) grid.pebbles[next[cell[m]]++] = members[m];
+  grid.records.resize(members.size());
+  for (std::size_t m = 0; m < members.size(); ++m) {
+    const auto place = static_cast<std::size_t>(next[cell[m]]++);
+    grid.pebbles[place] = members[m];
+    grid.records[place] = particles.pebbles()[members[m]];
+  }
 }
 
 void NeighborSearch::partners_after(const Particles& particles, std::int32_t i,
                                     std::vector<std::int32_t>& partners) const {
   partners.clear();
-  const SphereRecord* pebbles = particles.pebbles();
-  const std::int32_t body = particles.pebble_body(i);
   const Vec3 center = wrapped(particles.pebble_center(i), period_);
-  const double radius = pebbles[i].radius;
-  for (const Grid& grid : grids_) {
-    const double range = radius + grid.largest_radius + reach_;
-    std::array<std::int32_t, 3> first, last;
-    for (int k = 0; k < 3; ++k) {
-      const double at = (center[k] - grid.low[k]) * grid.cells_per_length[k];
-      const double cells = range * grid.cells_per_length[k];
-      if (period_) {
-        first[k] = static_cast<std::int32_t>(std::floor(at - cells));
-        last[k] = std::min(static_cast<std::int32_t>(std::floor(at + cells)), first[k] + grid.count[k] - 1);
-      } else {
-        first[k] = std::clamp(static_cast<std::int32_t>(at - cells), 0, grid.count[k] - 1);
-        last[k] = std::clamp(static_cast<std::int32_t>(at + cells), 0, grid.count[k] - 1);
-      }
-    }
-    const auto in_cell = [&](std::int32_t c, int k) {
-      return period_ ? (c % grid.count[k] + grid.count[k]) % grid.count[k] : c;
-    };
-    for (std::int32_t z = first[2]; z <= last[2]; ++z)
-      for (std::int32_t y = first[1]; y <= last[1]; ++y)
-        for (std::int32_t x = first[0]; x <= last[0]; ++x) {
-          const std::int32_t cell = (in_cell(z, 2) * grid.count[1] + in_cell(y, 1)) * grid.count[0] + in_cell(x, 0);
-          for (std::int32_t k = grid.cell_begin[cell]; k < grid.cell_begin[cell + 1]; ++k) {
-            const std::int32_t j = grid.pebbles[k];
-            if (j <= i) continue;
-            Vec3 d(pebbles[j].x - pebbles[i].x, pebbles[j].y - pebbles[i].y, pebbles[j].z - pebbles[i].z);
-            if (period_) d += nearest_image(d, *period_);
-            const double range_ij = radius + pebbles[j].radius + reach_;
-            if (d.squaredNorm() < range_ij * range_ij && particles.pebble_body(j) != body) partners.push_back(j);
-          }
-        }
-  }
+  for (const Grid& grid : grids_) look_into(grid, particles, i, center, partners);
   std::sort(partners.begin(), partners.end());
+}
+
+void NeighborSearch::look_into(const Grid& grid, const Particles& particles, std::int32_t i, const Vec3& center,
+                               std::vector<std::int32_t>& partners) const {
+  const std::size_t known = partners.size();
+  const std::int32_t body = particles.pebble_body(i);
+  const SphereRecord own = particles.pebbles()[i];
+  const double range = own.radius + grid.largest_radius + reach_;
+  const SphereRecord* records = grid.records.data();
+  const double reach = own.radius + reach_;
+  const bool is_periodic = period_.has_value();
+  const auto take = [&](std::int32_t begin, std::int32_t end) {
+    // All are written down and those that are too far written over: no branch to guess.
+    const std::size_t before = partners.size();
+    partners.resize(before + static_cast<std::size_t>(end - begin));
+    std::int32_t* next = partners.data() + before;
+    for (std::int32_t k = begin; k < end; ++k) {
+      double x = records[k].x - own.x, y = records[k].y - own.y, z = records[k].z - own.z;
+      if (is_periodic) {
+        const Vec3 shift = nearest_image({x, y, z}, *period_);
+        x += shift.x(), y += shift.y(), z += shift.z();
+      }
+      const double range_ij = reach + records[k].radius;
+      *next = k;
+      next += x * x + y * y + z * z < range_ij * range_ij;
+    }
+    partners.resize(static_cast<std::size_t>(next - partners.data()));
+  };
+  // Cells first .. last along k that the range meets.
+  const auto cells_within = [&](int k) {
+    const double at = (center[k] - grid.low[k]) * grid.cells_per_length[k], width = range * grid.cells_per_length[k];
+    if (!period_)
+      return std::pair(std::clamp(static_cast<std::int32_t>(at - width), 0, grid.count[k] - 1),
+                       std::clamp(static_cast<std::int32_t>(at + width), 0, grid.count[k] - 1));
+    const auto first = static_cast<std::int32_t>(std::floor(at - width));
+    return std::pair(first, std::min(static_cast<std::int32_t>(std::floor(at + width)), first + grid.count[k] - 1));
+  };
+  const auto in_cell = [&](std::int32_t c, int k) {
+    return period_ ? (c % grid.count[k] + grid.count[k]) % grid.count[k] : c;
+  };
+  const auto [first_x, last_x] = cells_within(0);
+  const auto [first_y, last_y] = cells_within(1);
+  const auto [first_z, last_z] = cells_within(2);
+  for (std::int32_t z = first_z; z <= last_z; ++z)
+    for (std::int32_t y = first_y; y <= last_y; ++y) {
+      const std::int32_t row = (in_cell(z, 2) * grid.count[1] + in_cell(y, 1)) * grid.count[0];
+      if (!is_periodic)
+        take(grid.cell_begin[row + first_x], grid.cell_begin[row + last_x + 1]);
+      else
+        for (std::int32_t x = first_x; x <= last_x; ++x)
+          take(grid.cell_begin[row + in_cell(x, 0)], grid.cell_begin[row + in_cell(x, 0) + 1]);
+    }
+  auto kept = partners.begin() + static_cast<std::ptrdiff_t>(known);
+  for (auto k = kept; k != partners.end(); ++k)
+    if (const std::int32_t j = grid.pebbles[*k]; j > i && particles.pebble_body(j) != body) *kept++ = j;
+  partners.erase(kept, partners.end());
 }
 
 std::size_t NeighborSearch::memory() const {
   std::size_t bytes = 0;
   for (const Grid& grid : grids_)
-    bytes += (grid.cell_begin.capacity() + grid.pebbles.capacity()) * sizeof(std::int32_t);
+    bytes += (grid.cell_begin.capacity() + grid.pebbles.capacity()) * sizeof(std::int32_t) +
+             grid.records.capacity() * sizeof(SphereRecord);
   return bytes;
 }
 

@@ -5,6 +5,9 @@
 //   |   | * |   |  a pebble looks at most into 27 cells                that size, so that small ones do not crowd the
 //   +---+---+---+                                                      cells of large ones
 //
+// Records of pebbles lie in the order of cells, so that three cells in a row are one stretch of memory. Rejected: cells of half
+// the width, which hold a third fewer pebbles that are too far but make 25 rows out of 9 (twice the time).
+//
 // A pebble's partners are found in any order and sorted by index: lists do not depend on the grids.
 #pragma once
 #include <array>
@@ -30,6 +33,11 @@ class NeighborSearch {
   std::size_t memory() const;  // [bytes]
 
  private:
+  struct Grid;
+  // Adds the partners in one grid, in any order.
+  void look_into(const Grid& grid, const Particles& particles, std::int32_t i, const Vec3& center,
+                 std::vector<std::int32_t>& partners) const;
+
   // Pebbles of radii in (half the largest, largest].
   struct Grid {
     double largest_radius = 0;             // [m]
@@ -38,6 +46,7 @@ class NeighborSearch {
     std::array<std::int32_t, 3> count{1, 1, 1};
     std::vector<std::int32_t> cell_begin;  // one more than cells
     std::vector<std::int32_t> pebbles;     // by cell; within a cell in order
+    std::vector<SphereRecord> records;     // of these pebbles
     std::int32_t cell_of(const Vec3& point, const std::optional<Vec3>& period) const;
   };
   void fill(Grid& grid, const Particles& particles, const std::vector<std::int32_t>& members, const Vec3& low,

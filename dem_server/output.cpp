@@ -201,10 +201,13 @@ void Output::summary(const Json& summary) {
   if (!folder_.empty()) write_file(folder_ / "dem_summary.json", summary.text() + "\n");
 }
 
+std::uint64_t touching_contacts(const Model& m) {
+  return static_cast<std::uint64_t>(m.pair_totals.active) + m.facet_totals.contacts;
+}
+
 double unbalanced_ratio(const Model& m) {
   if (m.particles.body_count() == 0) return 0;
-  std::size_t contacts =
-      static_cast<std::size_t>(m.pair_totals.active) + m.facet_totals.contacts + m.wall_totals.contacts;
+  std::size_t contacts = touching_contacts(m) + m.wall_totals.contacts;
   double force = m.pair_totals.normal_force + m.facet_totals.normal_force + m.wall_totals.normal_force;
   if (m.pile) {
     contacts += m.pile_totals.tip.contacts + m.pile_totals.shaft.contacts;

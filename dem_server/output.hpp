@@ -53,6 +53,9 @@ class Output {
   double tip_resistance_ = 0, shaft_force_ = 0;
 };
 
+// Contacts of grains with grains and facets that touch, in the last cycle.
+std::uint64_t touching_contacts(const Model& model);
+
 // Mean unbalanced force of the bodies over the mean contact force, of the last cycle; 0 without bodies, 1 without
 // contacts.
 double unbalanced_ratio(const Model& model);

@@ -13,7 +13,6 @@
 // ground handed over. What only matters later (velocity and friction of the pile, friction of interface and walls,
 // damping, time step, outputs) is not compared.
 #pragma once
-#include <array>
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -21,36 +20,11 @@
 #include <utility>
 #include <vector>
 
+#include "dem_server/balance.hpp"
 #include "dem_server/cycle.hpp"
 #include "dem_server/packing.hpp"
-#include "dem_server/servo.hpp"
 
 namespace lockstep::dem {
-
-// What the ground handed over to stage Balance.
-struct HandedOver {
-  Vec3s nodes;                                      // of the interface [m]
-  std::vector<std::array<std::int32_t, 4>> facets;  // nodes of each
-  std::vector<std::int32_t> ring;                   // per facet
-  Vec3s traction;                                   // per facet, on the continuum [Pa]
-  double bulk_density = 0;                          // of the ground that the grains replace [kg/m3]
-  double tip_target = 0;                            // vertical pressure at the pile's tip; 0 without a pile [Pa]
-};
-
-// What stage Balance came to, for logs and summaries.
-struct BalanceFigures {
-  double unbalanced_ratio = 0;  // [-]
-  double porosity = 0;          // bulk [-]
-  std::uint64_t cycles = 0;
-  bool has_servo = false;  // what follows is filled
-  std::vector<Ring> rings;
-  double tip_pressure = 0;     // averaged [Pa]
-  double ring_mismatch = 0;    // worst side ring or tip, over its tolerance [-]
-  double bottom_mismatch = 0;  // [-]
-  double bottom_force = 0;     // [N]
-  double weight = 0;           // of the grains [N]
-  double tip_force = 0;        // of the pile on the grains [N]
-};
 
 // The grains and all that has a memory of them, between two steps.
 struct PackingState {

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <fstream>
 #include <iterator>
+#include <utility>
 
 #include "tests/coupled/coupled_fixture.hpp"
 
@@ -126,7 +127,7 @@ TEST_CASE("a run that fails goes back to its last sound state on both sides") {
   const SceneFile scene =
       read_scene(scenario("grain_on_block"),
                  {"grains.grain[0].center.z=0.06", "apply.max_steps=0", "run.damping=0", "run.continuum_damping=0",
-                  "run.duration=0.2", "coupling.stop_if_energy_error=0.01", "output.history_interval=50"});
+                  "run.duration=0.2", "coupling.stop_if_energy_error=0.01", "output.history_interval=70"});
   const std::filesystem::path folder = std::filesystem::temp_directory_path() / "lockstep_last_sound_state";
   std::filesystem::remove_all(folder);
   std::filesystem::create_directories(folder);
@@ -154,6 +155,20 @@ TEST_CASE("a run that fails goes back to its last sound state on both sides") {
     const std::string text{std::istreambuf_iterator<char>(file), {}};
     INFO(name << ": " << verdict);
     CHECK_THAT(text, Contains(fmt::format("\"steps\": {},", sound)));
+  }
+  // What was recorded before the failure stays; the state gone back to, between two rows, adds none behind them.
+  // An exchange has the number of the step that it begins.
+  for (const auto& [name, first] : {std::pair("dem_history.csv", 70), std::pair("continuum_history.csv", 70),
+                                    std::pair("continuum_interface.csv", 69)}) {
+    std::ifstream file(folder / name);
+    std::string line;
+    std::getline(file, line);
+    int rows = 0;
+    while (std::getline(file, line)) {
+      INFO(name << ": " << line);
+      CHECK(std::stoi(line) == first + 70 * rows++);
+    }
+    CHECK(rows == failed_at / 70);
   }
   std::filesystem::remove_all(folder);
 }
