@@ -350,7 +350,7 @@ CLAIMS = (
     Claim("Fig. 11", "a dense core under the tip",
           f"porosity in the cone under the tip, {CORE.corners[:, 1].max():g} D deep, S/D = {LATE[0]:g}: lower than at S = 0 at the same "
           f"place, and than under the tip then, each by more than {ERRORS} standard errors", porosity_claim(CORE, -1)),
-    Claim("Fig. 11", "which is as wide as the pile",
+    Claim("Fig. 11", "the core, taken as wide as the pile",
           f"the same of the column under the tip, {COLUMN.corners[:, 1].min():g} to {COLUMN.corners[:, 1].max():g} D deep and as wide as the pile",
           porosity_claim(COLUMN, -1)),
     Claim("Fig. 11", "a loose (dilated) sleeve along the shaft",

@@ -237,7 +237,7 @@ def check_verdicts(folder):
               "sleeve": dict(sleeve=0.0),
               "first": dict(first=0.3)}
     expected = {"late": {"plateau", "limit_reached"}, "falls": {"plateau"}, "bulb": {"steady_bulb"},
-                "core": {"a dense core under the tip", "which is as wide as the pile"},
+                "core": {"a dense core under the tip", "the core, taken as wide as the pile"},
                 "sleeve": {"a loose (dilated) sleeve along the shaft"}, "first": {"down_in_order"}}
     for name, how in turned.items():
         found = claims_of(os.path.join(folder, name), **how)
