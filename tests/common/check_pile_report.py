@@ -17,7 +17,7 @@ sys.path.insert(0, TOOLS)
 sys.dont_write_bytecode = True
 import pile_claims as claims  # noqa: E402
 import pile_runs  # noqa: E402
-from run_files import Missing, read_scene  # noqa: E402
+from run_files import read_scene  # noqa: E402
 
 np = pile_runs.np
 failures = []
