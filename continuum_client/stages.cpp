@@ -93,7 +93,7 @@ class Stages {
     excavate();
     take_snapshot();
     if (settings_.apply_max_steps > 0) apply();
-    if (!report_.is_interrupted) penetrate();
+    if (!is_over()) penetrate();
     finish();
   }
 
@@ -264,7 +264,7 @@ class Stages {
           duration / ground_.step_sizes.out_of, settings_.apply_max_steps);
     double ramp = settings_.holds_baseline ? 1.0 : 0.0;  // of the duration
     bool is_done = false;
-    while (!is_done && ground_.step < settings_.apply_max_steps && !stop_requested()) {
+    while (!is_done && ground_.step < settings_.apply_max_steps && !is_over()) {
       ground_.baseline.share = settings_.holds_baseline ? 1.0 : 1 - smoothstep(ramp);
       const bool ramp_is_over = ramp >= 1;
       ramp += ground_.step_sizes.out_of / duration;
@@ -279,7 +279,7 @@ class Stages {
     report_.jump.apply_ratio_grains = ground_.incoming.unbalanced_ratio;
     report_.jump.apply_converged = is_done;
     measure_jump();
-    if (!is_done && !report_.is_interrupted)
+    if (!is_done && !is_over())
       spdlog::warn(
           "Apply ends at apply.max_steps {} with unbalanced ratios {:.2e} (zones) and {:.2e} (grains), above "
           "apply.tolerance {:.2e}; "
@@ -300,11 +300,9 @@ class Stages {
     ground_.damping = settings_.run_damping;
     const double begin = ground_.time;
     next_snapshot_ = settings_.snapshot_interval;
-    bool is_done = false;
-    while (!stop_requested() && !is_done) {
+    while (!is_over()) {
       if (!settings_.has_pile && ground_.time - begin > settings_.duration - 0.5 * ground_.step_sizes.out_of) break;
       cycle(ground_, *peer_);
-      is_done = ground_.incoming.is_done;
       const double time = ground_.time - begin;
       const double position = settings_.has_pile ? pile_travel(time) / settings_.pile_diameter : time;
       after_step("Penetrate", settings_.has_pile ? position / scene_.scene.pile().penetration()
@@ -563,6 +561,9 @@ class Stages {
       spdlog::error("the summary could not be written: {}", error.what());
     }
   }
+
+  // The grains may end the run in any step, at their user's wish even in Apply.
+  bool is_over() { return stop_requested() || ground_.incoming.is_done; }
 
   bool stop_requested() {
     if (interrupt_requested() && !report_.is_interrupted) {

@@ -54,7 +54,7 @@ void Course::finish() {
         "kN, "
         "{:.1f} s",
         m.step, s_over_d(), output_.tip_resistance() / 1e6, output_.shaft_force() / 1e3, stages_.seconds());
-  stages_.end("Penetrate", Json().add("steps", m.step).add("s_over_d", s_over_d()));
+  stages_.end(is_penetrating() ? "Penetrate" : "Apply", Json().add("steps", m.step).add("s_over_d", s_over_d()));
   output_.snapshot(m, settings_);
 }
 

@@ -491,6 +491,17 @@ TEST_CASE("an interrupted run ends on both sides with code 130 and whole files")
     CHECK(rows_of(folder / "dem_history.csv") > 0);
     CHECK(rows_of(folder / "continuum_history.csv") > 0);
   }
+  SECTION("during the hand-over: the summary names that stage as the last one") {
+    // Without damping the grain swings on, and no ratio falls below the tolerance.
+    Pair pair(small_scene,
+              Words{"--set", "apply.damping=0", "--set", "apply.tolerance=1e-9", "--set", "apply.max_steps=100000000"} +
+                  results);
+    pair.zones.await("side=continuum stage=Apply");
+    pair.grains.send(SIGINT);
+    CHECK(pair.grains.wait() == exit_interrupted);
+    CHECK(pair.zones.wait() == exit_interrupted);
+    CHECK_THAT(content_of(folder / "dem_summary.json"), Contains("\"Apply\"") && !Contains("\"Penetrate\""));
+  }
   SECTION("while the grains are packed: one side's interrupt is enough") {
     const bool is_at_grains = GENERATE(true, false);
     Pair pair(slow_packing, results);
