@@ -49,6 +49,20 @@ class Team {
     run_all(call, const_cast<void*>(static_cast<const void*>(&task)));
   }
 
+  // task(0) .. task(parts - 1), each once. Who is free takes the next one: a thread that another process keeps from its core
+  // leaves more to the others instead of holding them up.
+  template <class Task>
+  void run_parts(int parts, Task&& task) {
+    if (size() == 1) {
+      for (int part = 0; part < parts; ++part) task(part);
+      return;
+    }
+    std::atomic<int> next = 0;
+    run([&](int) {
+      for (int part = next++; part < parts; part = next++) task(part);
+    });
+  }
+
   // A team of the calling thread alone.
   static Team& alone();
 

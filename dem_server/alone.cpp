@@ -14,7 +14,7 @@ bool NoPeer::move_facets(Model& m) {
   return true;
 }
 
-void NoPeer::renew_step(const Model& m) {
+void NoPeer::renew_step(Model& m) {
   const StepLimit limit = stable_step(m, settings_.step_damping);
   const double step = settings_.step_fraction * limit.step;
   if (step >= time_step_) return;

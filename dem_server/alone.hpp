@@ -17,7 +17,7 @@ class NoPeer : public Boundary {
 
  private:
   // As in a coupled run the step is cut when contacts ask for it, and never grows.
-  void renew_step(const Model& model);
+  void renew_step(Model& model);
 
   Course& course_;
   const Settings& settings_;

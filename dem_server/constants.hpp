@@ -39,6 +39,10 @@ inline constexpr double power_margin = 0.95;
 // Bodies of a chunk of the contact list: what threads share out and sums are taken over.
 inline constexpr std::size_t chunk_bodies = 256;
 
+// Parts of the contact list for each thread, where there are several: enough that one may take what another does not get to,
+// and few, since contacts across a border are computed twice.
+inline constexpr int parts_a_thread = 4;
+
 // Pebbles whose radii differ by less than this share one grid of cells.
 inline constexpr double grid_size_ratio = 2.5;
 

@@ -115,7 +115,7 @@ TravelLimits PairContacts::limits() const {
 void PairContacts::update(const Particles& particles, Team& team) {
   LOCKSTEP_ASSERT(!has_lists_ || marks_.size() == particles.pebble_count(),
                   "pebbles were added or removed without clear_history");
-  const bool is_shared_out = thread_chunk_.size() == static_cast<std::size_t>(team.size()) + 1;
+  const bool is_shared_out = partition_.size() == parts_for(team);
   ++age_;
   if (has_lists_ && is_shared_out && !has_left(particles, team)) return;
   const double ended_skin = skin_;
@@ -167,12 +167,12 @@ bool PairContacts::has_left(const Particles& particles, Team& team) const {
   const double growth = used_up(particles);
   if (growth > growth_share * skin_) return true;
   std::atomic<bool> any = false;
-  team.run([&](int thread) {
-    const auto t = static_cast<std::size_t>(thread);
+  team.run_parts(partition_.size(), [&](int part) {
+    const auto k = static_cast<std::size_t>(part);
     const SphereRecord* pebbles = particles.pebbles();
-    const auto end = static_cast<std::size_t>(chunk_pebble(particles, thread_chunk_[t + 1]));
+    const auto end = static_cast<std::size_t>(chunk_pebble(particles, part_chunk_[k + 1]));
     int left = 0;
-    for (auto p = static_cast<std::size_t>(chunk_pebble(particles, thread_chunk_[t])); p < end; ++p) {
+    for (auto p = static_cast<std::size_t>(chunk_pebble(particles, part_chunk_[k])); p < end; ++p) {
       const double limit = marks_[p].radius - growth;
       left |= !(squared_distance(pebbles[p], marks_[p]) <= limit * limit);
     }
@@ -243,14 +243,14 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
   chunks_.resize(chunk_count(particles));
   sums_.resize(chunks_.size());
   scratch_.resize(static_cast<std::size_t>(team.size()));
-  borders_.resize(static_cast<std::size_t>(team.size()));
+  borders_.resize(static_cast<std::size_t>(parts_for(team)));
   std::atomic<std::size_t> next = 0;
   team.run([&](int thread) {
     for (std::size_t c = next++; c < chunks_.size(); c = next++)
       fill_chunk(particles, c, scratch_[static_cast<std::size_t>(thread)]);
   });
-  share_out(particles, team.size());
-  team.run([&](int thread) { fill_border(particles, thread); });
+  share_out(particles, parts_for(team));
+  team.run_parts(partition_.size(), [&](int part) { fill_border(particles, part); });
   ++refreshes_;
 }
 
@@ -308,29 +308,32 @@ void PairContacts::fill_chunk(const Particles& particles, std::size_t c, Chunk& 
   old = scratch;
 }
 
-// Threads get chunks of about equal numbers of tiles.
-void PairContacts::share_out(const Particles& particles, int threads) {
+int PairContacts::parts_for(const Team& team) { return team.size() > 1 ? parts_a_thread * team.size() : 1; }
+
+// Parts get chunks of about equal numbers of tiles.
+void PairContacts::share_out(const Particles& particles, int parts) {
   std::size_t tiles = 0;
   for (const Chunk& chunk : chunks_) tiles += chunk.pairs.size();
-  thread_chunk_.assign(1, 0);
+  part_chunk_.assign(1, 0);
   partition_.body_begin.assign(1, 0);
   std::size_t chunk = 0, taken = 0;
-  for (int thread = 1; thread <= threads; ++thread) {
-    const std::size_t share = tiles * static_cast<std::size_t>(thread) / static_cast<std::size_t>(threads);
-    while (chunk < chunks_.size() && (thread == threads || taken + chunks_[chunk].pairs.size() / 2 < share))
+  for (int part = 1; part <= parts; ++part) {
+    const std::size_t share = tiles * static_cast<std::size_t>(part) / static_cast<std::size_t>(parts);
+    while (chunk < chunks_.size() && (part == parts || taken + chunks_[chunk].pairs.size() / 2 < share))
       taken += chunks_[chunk++].pairs.size();
-    thread_chunk_.push_back(chunk);
+    part_chunk_.push_back(chunk);
     partition_.body_begin.push_back(chunk_body(particles, chunk));
   }
 }
 
-// Copies of the entries whose A belongs to a lower thread and whose B to this one.
-void PairContacts::fill_border(const Particles& particles, int thread) {
-  const auto t = static_cast<std::size_t>(thread);
-  Writer writer(borders_[t], particles, period_.has_value());
-  const std::int32_t first = partition_.body_begin[t], end = partition_.body_begin[t + 1];
-  for (std::size_t c = 0; c < thread_chunk_[t]; ++c) {
+// Copies of the entries whose A belongs to a lower part and whose B to this one.
+void PairContacts::fill_border(const Particles& particles, int part) {
+  const auto p = static_cast<std::size_t>(part);
+  Writer writer(borders_[p], particles, period_.has_value());
+  const std::int32_t first = partition_.body_begin[p], end = partition_.body_begin[p + 1];
+  for (std::size_t c = 0; c < part_chunk_[p]; ++c) {
     const Chunk& chunk = chunks_[c];
+    if (chunk.last_body < first) continue;
     for (std::size_t k = 0; k < chunk.count; ++k) {
       const PairTile& tile = chunk.pairs[k / tile_size];
       const std::int32_t j = tile.j[k % tile_size], b = particles.pebble_body(j);
@@ -372,13 +375,13 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
                        chunk.shifts.data() + (chunk.shifts.empty() ? 0 : begin), chunk.springs.data() + begin,
                        end - begin};
   };
-  team.run([&](int thread) {
-    const auto t = static_cast<std::size_t>(thread);
+  team.run_parts(partition_.size(), [&](int part) {
+    const auto p = static_cast<std::size_t>(part);
     const PairState state = {particles.pebbles(), particles.bodies(),       particles.motion(),
-                             particles.loads(),   partition_.body_begin[t], partition_.body_begin[t + 1]};
+                             particles.loads(),   partition_.body_begin[p], partition_.body_begin[p + 1]};
     PairSums counted_elsewhere;
-    bounded_kernel(state, stretch(borders_[t], 0, borders_[t].pairs.size()), law, counted_elsewhere);
-    for (std::size_t c = thread_chunk_[t]; c < thread_chunk_[t + 1]; ++c) {
+    bounded_kernel(state, stretch(borders_[p], 0, borders_[p].pairs.size()), law, counted_elsewhere);
+    for (std::size_t c = part_chunk_[p]; c < part_chunk_[p + 1]; ++c) {
       Chunk& chunk = chunks_[c];
       sums_[c] = PairSums{};
       if (chunk.pairs.empty()) continue;
@@ -478,7 +481,8 @@ void PairContacts::clear_history() {
   outer_.clear();
   marks_.clear();
   outer_marks_.clear();
-  thread_chunk_.clear();
+  part_chunk_.clear();
+  partition_.body_begin.clear();
   has_lists_ = false;
 }
 

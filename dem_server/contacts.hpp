@@ -9,10 +9,10 @@
 // CHUNKS. The lists are cut into chunks of chunk_bodies bodies (those of i), filled up to whole tiles of eight entries.
 // A chunk is what a thread works on, and what sums are taken over: neither depends on how many threads there are.
 //
-// THREADS. Each thread owns a range of chunks and with it their bodies. A contact across a border of ranges is computed
-// by both owners, each adding the load of its own body: the upper one from a copy of the entry in its `border`, before
-// its own chunks, which keeps the order of the list for each body. So nothing is shared while forces are summed, and
-// any number of threads gives the same bits.
+// THREADS work on parts: ranges of chunks and with them their bodies, a few for each thread, taken by who is free. A contact
+// across a border of parts is computed for both, each adding the load of its own body: the upper one from a copy of the
+// entry in its `border`, before its own chunks, which keeps the order of the list for each body. So nothing is shared
+// while forces are summed, and any number of threads gives the same bits.
 //
 // WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is
 // not in the inner list has a gap of at least s, so h = s/2 is safe for both. A pebble that has used up s/2 while all
@@ -77,7 +77,7 @@ class PairContacts {
   void strain(Particles& particles, const Vec3& rate, double time_step);
   const std::optional<Vec3>& period() const { return period_; }  // [m]
 
-  // How far pebbles may go before the next renewal, and which thread owns which bodies until then.
+  // How far pebbles may go before the next renewal, and which parts bodies are in until then.
   TravelLimits limits() const;
   const Partition& partition() const { return partition_; }
 
@@ -90,10 +90,26 @@ class PairContacts {
   // which image touches.
   template <class Visitor>
   void for_each_branch(const Particles& particles, Visitor&& visit) const {
+    for (const Chunk& chunk : chunks_) visit_chunk(particles, chunk, visit);
+  }
+  // Those of some bodies alone, `is_wanted` per body: entries of others are passed over before their places are read.
+  template <class Visitor>
+  void for_each_contact_of(const Particles& particles, const std::vector<char>& is_wanted, Visitor&& visit) const {
+    const auto is_wanted_pebble = [&](std::int32_t p) { return is_wanted[particles.pebble_body(p)] != 0; };
     for (const Chunk& chunk : chunks_)
-      for (std::size_t k = 0; k < chunk.count; ++k)
-        if (const Entry entry = entry_of(particles, chunk, k); entry.contact.overlap > 0)
-          visit(entry.contact, entry.branch);
+      for (std::size_t k = 0; k < chunk.count; ++k) {
+        const PairTile& tile = chunk.pairs[k / tile_size];
+        if (!is_wanted_pebble(tile.i[k % tile_size]) && !is_wanted_pebble(tile.j[k % tile_size])) continue;
+        if (const Entry entry = entry_of(particles, chunk, k); entry.contact.overlap > 0) visit(entry.contact);
+      }
+  }
+  // Those of the bodies of a part (partition()), each body's in the order of the list. A contact across a border is in two.
+  template <class Visitor>
+  void for_each_contact_of_part(const Particles& particles, int part, Visitor&& visit) const {
+    const auto p = static_cast<std::size_t>(part);
+    const auto visit_contact = [&](const ContactView& contact, const Vec3&) { visit(contact); };
+    visit_chunk(particles, borders_[p], visit_contact);
+    for (std::size_t c = part_chunk_[p]; c < part_chunk_[p + 1]; ++c) visit_chunk(particles, chunks_[c], visit_contact);
   }
 
   // Springs of the pairs that have one.
@@ -135,6 +151,12 @@ class PairContacts {
   };
   class Writer;
 
+  template <class Visitor>
+  void visit_chunk(const Particles& particles, const Chunk& chunk, Visitor&& visit) const {
+    for (std::size_t k = 0; k < chunk.count; ++k)
+      if (const Entry entry = entry_of(particles, chunk, k); entry.contact.overlap > 0)
+        visit(entry.contact, entry.branch);
+  }
   double used_up(const Particles& particles) const;  // of each pebble's limit by growth and strain, inner list [m]
   double outer_used_up(const Particles& particles) const;  // [m]
   bool has_left(const Particles& particles, Team& team) const;
@@ -146,8 +168,9 @@ class PairContacts {
   std::span<const std::int32_t> near_partners(const Particles& particles, std::int32_t i, const std::int32_t* partners,
                                               std::span<std::int32_t> near) const;
   void fill_chunk(const Particles& particles, std::size_t chunk, Chunk& scratch);
-  void fill_border(const Particles& particles, int thread);
-  void share_out(const Particles& particles, int threads);
+  void fill_border(const Particles& particles, int part);
+  void share_out(const Particles& particles, int parts);
+  static int parts_for(const Team& team);
   Entry entry_of(const Particles& particles, const Chunk& chunk, std::size_t k) const;
   std::size_t chunk_count(const Particles& particles) const;
   std::int32_t chunk_body(const Particles& particles, std::size_t chunk) const;
@@ -175,10 +198,10 @@ class PairContacts {
   double half_reach_ = 0;                      // half the largest distance of a pair in the outer list [m]
 
   std::vector<Chunk> chunks_;
-  std::vector<PairSums> sums_;             // per chunk
-  std::vector<Chunk> borders_;             // per thread
-  std::vector<Chunk> scratch_;             // per thread
-  std::vector<std::size_t> thread_chunk_;  // first chunk of each thread, and one more
+  std::vector<PairSums> sums_;           // per chunk
+  std::vector<Chunk> borders_;           // per part
+  std::vector<Chunk> scratch_;           // per thread
+  std::vector<std::size_t> part_chunk_;  // first chunk of each part, and one more
   Partition partition_;
 };
 

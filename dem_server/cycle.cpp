@@ -21,8 +21,9 @@ void clear_loads(Model& m) {
 
 void interface_contacts(Model& m) {
   const auto timing = m.profile.measure(Phase::InterfaceContacts);
+  // Equal shares: the ground waits for these, and so holds no thread up.
   m.facet_totals = m.facets.compute(m.particles, m.facet_material, m.last_time_step, m.contacts.limits(), *m.team,
-                                    m.contacts.partition());  // paper eqs 1-4, 8-13
+                                    {});  // paper eqs 1-4, 8-13
 }
 
 void renew_lists(Model& m) {
@@ -121,23 +122,27 @@ void evaluate_forces(Model& m) {
   m.has_loads = true;
 }
 
-StepLimit stable_step(const Model& m, double damping) {
-  StiffnessSum stiffness, touching;
-  stiffness.reset(m.particles.body_count()), touching.reset(m.particles.body_count());
-  const auto add = [&](const ContactView& contact) { stiffness.add(contact, m.particles); };
-  m.contacts.for_each_contact(m.particles, add);
-  m.facets.for_each_contact(
-      [&](const ContactView& contact) { stiffness.add(contact, m.particles), touching.add(contact, m.particles); });
+StepLimit stable_step(Model& m, double damping) {
+  const Partition& partition = m.contacts.partition();  // none before the first lists: no pairs then
+  m.stiffness.reset(partition.size() > 0 ? partition
+                                         : Partition{{0, static_cast<std::int32_t>(m.particles.body_count())}});
+  m.team->run_parts(partition.size(), [&](int part) {
+    m.contacts.for_each_contact_of_part(
+        m.particles, part, [&](const ContactView& contact) { m.stiffness.add_to_part(part, contact, m.particles); });
+  });
+  const auto add = [&](const ContactView& contact) { m.stiffness.add(contact, m.particles); };
+  std::vector<ContactView> touching;
+  m.facets.for_each_contact([&](const ContactView& contact) { touching.push_back(contact); });
+  for (const ContactView& contact : touching) add(contact);
   m.walls.for_each_contact(add);
   if (m.pile) m.pile->for_each_contact(add);
 
   StepLimit limit;
-  limit.step = stiffness.stable_step(damping, &limit.worst_body);
+  limit.step = m.stiffness.stable_step(damping, &limit.worst_body, *m.team);
   const FirstTouch first = first_touch(m);
   if (const double step = 2 / std::sqrt(first.any * (1 + damping)); step < limit.step)
     limit.step = step, limit.worst_body = -1;
-  const double touch = touching.stable_step(0);  // infinite without contacts
-  limit.touching_squared = std::max(first.facet, 4 / (touch * touch));
+  limit.touching_squared = std::max(first.facet, largest_wall_frequency_squared(touching, m.particles));
   return limit;
 }
 

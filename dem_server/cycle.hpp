@@ -15,6 +15,7 @@
 #include "dem_server/interface_facets.hpp"
 #include "dem_server/ledger.hpp"
 #include "dem_server/particles.hpp"
+#include "dem_server/timestep.hpp"
 #include "dem_server/walls.hpp"
 
 namespace lockstep::dem {
@@ -54,6 +55,7 @@ struct Model {
   PileTotals pile_totals;
   MotionTotals motion;
   Ledger ledger;
+  StiffnessSum stiffness;  // stable_step() sums there
   Profile<Phase> profile;
 
   // Hash of everything that decides the future: poses, velocities, springs, facets, pile.
@@ -97,6 +99,6 @@ struct StepLimit {
   double touching_squared =
       0;  // omega^2 of contacts with facets alone, the largest of a body, a first touch included [1/s2]
 };
-StepLimit stable_step(const Model& model, double damping);
+StepLimit stable_step(Model& model, double damping);
 
 }  // namespace lockstep::dem

@@ -51,8 +51,7 @@ MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_st
                   bodies);
   const std::size_t chunks = (bodies + chunk_bodies - 1) / chunk_bodies;
   Team& team = options.team ? *options.team : Team::alone();
-  const auto threads = static_cast<std::size_t>(team.size());
-  const bool is_shared_out = options.partition && options.partition->size() == team.size();
+  const int parts = options.partition ? options.partition->parts(team.size()) : team.size();
   const MotionKernel kernel = kernel_of(options.instructions, particles.has_clumps(), options.detail);
   const MotionStep step = {{gravity.x(), gravity.y(), gravity.z()},
                            0.5 * (time_step_old + time_step_new),
@@ -60,13 +59,13 @@ MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_st
                            damping,
                            options.fastest_travel / time_step_new};
   std::vector<MotionSums> sums(chunks);
-  const auto first_chunk = [&](std::size_t thread) {
-    if (!is_shared_out) return chunks * thread / threads;
-    return (static_cast<std::size_t>(options.partition->body_begin[thread]) + chunk_bodies - 1) / chunk_bodies;
+  const auto first_chunk = [&](int part) {
+    if (!options.partition || options.partition->size() <= 0) return share_of(chunks, part, parts).first;
+    const std::int32_t body = options.partition->body_begin[static_cast<std::size_t>(part)];
+    return (static_cast<std::size_t>(body) + chunk_bodies - 1) / chunk_bodies;
   };
-  team.run([&](int thread) {
-    const auto t = static_cast<std::size_t>(thread);
-    for (std::size_t c = first_chunk(t); c < first_chunk(t + 1); ++c) {
+  team.run_parts(parts, [&](int part) {
+    for (std::size_t c = first_chunk(part); c < first_chunk(part + 1); ++c) {
       const auto begin = static_cast<std::int32_t>(c * chunk_bodies);
       const auto end = static_cast<std::int32_t>(std::min((c + 1) * chunk_bodies, bodies));
       kernel({particles.bodies(), particles.motion(), particles.loads(), particles.attitudes(),

@@ -60,7 +60,7 @@ struct MotionTotals {
 struct MotionOptions {
   const std::vector<char>* fixed = nullptr;  // one mark a body: marked bodies keep zero velocity and spin and stay
   Team* team = nullptr;                      // null: the calling thread alone
-  const Partition* partition = nullptr;      // of the team's threads; null: equal shares
+  const Partition* partition = nullptr;      // null: equal shares
   InstructionSet instructions = best_instructions();
   Detail detail = Detail::All;
   double fastest_travel = 0.5;  // of its radius that a body may cross in a step

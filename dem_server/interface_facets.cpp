@@ -777,11 +777,11 @@ FacetTotals InterfaceFacets::compute(Particles& particles, const FacetMaterial& 
   facet_load_.assign(real_facet_count_, {});
   std::swap(contacts_, previous_), std::swap(shares_, previous_shares_);
   is_inherited_.assign(previous_.size(), 0);
-  parts_.resize(static_cast<std::size_t>(team.size()));
+  parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
   parts_[0].is_first = true;
-  team.run([&](int t) {
-    find_contacts(particles, material, dt, pebbles_of_thread(particles, partition, team.size(), t),
-                  parts_[static_cast<std::size_t>(t)]);
+  team.run_parts(partition.parts(team.size()), [&](int k) {
+    find_contacts(particles, material, dt, pebbles_of_part(particles, partition, team.size(), k),
+                  parts_[static_cast<std::size_t>(k)]);
   });
 
   std::swap(contacts_, parts_[0].contacts), std::swap(shares_, parts_[0].shares);

@@ -1,8 +1,10 @@
 #include "dem_server/timestep.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "common/checks.hpp"
 #include "common/random.hpp"
 
 namespace lockstep::dem {
@@ -47,9 +49,17 @@ double largest_eigenvalue_bound(const Matrix& d) {
 
 }  // namespace
 
-void StiffnessSum::reset(std::size_t bodies) {
-  diagonal_.assign(bodies, Mat6::Zero());
-  couplings_.clear();
+void StiffnessSum::reset(std::size_t bodies) { reset(Partition{{0, static_cast<std::int32_t>(bodies)}}); }
+
+void StiffnessSum::reset(const Partition& partition) {
+  const auto bodies = static_cast<std::size_t>(partition.body_begin.back());
+  diagonal_.resize(bodies), own_.resize(bodies), scale_.resize(bodies), image_.resize(bodies);
+  std::fill(diagonal_.begin(), diagonal_.end(), Mat6::Zero());
+  parts_.resize(static_cast<std::size_t>(partition.size()));
+  for (std::size_t p = 0; p < parts_.size(); ++p) {
+    parts_[p].begin = partition.body_begin[p], parts_[p].end = partition.body_begin[p + 1];
+    parts_[p].couplings.clear();
+  }
 }
 
 void StiffnessSum::add(const ContactView& contact, const Particles& particles) {
@@ -59,48 +69,89 @@ void StiffnessSum::add(const ContactView& contact, const Particles& particles) {
 
 void StiffnessSum::add(const ContactView& contact, const Particles& particles, const Vec3& branch) {
   const Vec3 lever_a = contact.point - particles.position(contact.body_a);
-  add_levers(contact, particles, lever_a, Vec3(lever_a - branch));
+  if (contact.body_b >= 0) {
+    LOCKSTEP_ASSERT(parts_.size() == 1, "a pair among bodies of {} parts", parts_.size());
+    add_levers(parts_[0], contact, particles, lever_a, Vec3(lever_a - branch));
+    return;
+  }
+  const Mat36 h = root_stiffness(contact) * mass_scaled_map(particles, contact.body_a, lever_a);
+  diagonal_[contact.body_a] += h.transpose() * h;
 }
 
-void StiffnessSum::add_levers(const ContactView& contact, const Particles& particles, const Vec3& lever_a,
+void StiffnessSum::add_to_part(int part, const ContactView& contact, const Particles& particles) {
+  const Vec3 lever_a = contact.point - particles.position(contact.body_a);
+  const Vec3 branch = particles.position(contact.body_b) - particles.position(contact.body_a);
+  add_levers(parts_[static_cast<std::size_t>(part)], contact, particles, lever_a, Vec3(lever_a - branch));
+}
+
+void StiffnessSum::add_levers(Part& part, const ContactView& contact, const Particles& particles, const Vec3& lever_a,
                               const Vec3& lever_b) {
   const Mat3 root = root_stiffness(contact);
   const std::int32_t a = contact.body_a, b = contact.body_b;
   const Mat36 h_a = root * mass_scaled_map(particles, a, lever_a);
-  diagonal_[a] += h_a.transpose() * h_a;
-  if (b < 0) return;
+  if (a >= part.begin && a < part.end) diagonal_[a] += h_a.transpose() * h_a;
   const Mat36 h_b = root * mass_scaled_map(particles, b, lever_b);
-  diagonal_[b] += h_b.transpose() * h_b;
+  if (b >= part.begin && b < part.end) diagonal_[b] += h_b.transpose() * h_b;
   const double product = std::sqrt(largest_eigenvalue_bound<Mat3>(h_a * h_a.transpose()) *
                                    largest_eigenvalue_bound<Mat3>(h_b * h_b.transpose()));
-  couplings_.push_back({a, b, product});
+  part.couplings.push_back({a, b, product});
 }
 
-double StiffnessSum::stable_step(double damping, std::int32_t* worst_body) const {
-  const std::size_t bodies = diagonal_.size();
-  std::vector<double> own(bodies), scale(bodies, 1.0), image(bodies);
-  for (std::size_t b = 0; b < bodies; ++b) own[b] = largest_eigenvalue_bound<Mat6>(diagonal_[b]);
+// Gershgorin's rows of the part's bodies, over their scale: the largest of them.
+void StiffnessSum::look_at_rows(Part& part) {
+  for (std::int32_t b = part.begin; b < part.end; ++b) image_[b] = own_[b] * scale_[b];
+  for (const Coupling& c : part.couplings) {
+    if (c.a >= part.begin && c.a < part.end) image_[c.a] += c.strength * scale_[c.b];
+    if (c.b >= part.begin && c.b < part.end) image_[c.b] += c.strength * scale_[c.a];
+  }
+  part.largest = 0, part.worst = -1;
+  for (std::int32_t b = part.begin; b < part.end; ++b)
+    if (const double ratio = image_[b] / scale_[b]; ratio > part.largest) part.largest = ratio, part.worst = b;
+}
+
+double StiffnessSum::stable_step(double damping, std::int32_t* worst_body, Team& team) {
+  const auto for_each_part = [&](auto&& work) {
+    team.run_parts(static_cast<int>(parts_.size()), [&](int part) { work(parts_[static_cast<std::size_t>(part)]); });
+  };
+  for_each_part([&](const Part& part) {
+    for (std::int32_t b = part.begin; b < part.end; ++b)
+      own_[b] = largest_eigenvalue_bound<Mat6>(diagonal_[b]), scale_[b] = 1;
+  });
   double least = std::numeric_limits<double>::infinity();
   std::int32_t worst = -1;
   for (int sweep = 0; sweep < bound_sweeps; ++sweep) {
-    for (std::size_t b = 0; b < bodies; ++b) image[b] = own[b] * scale[b];
-    for (const Coupling& c : couplings_) {
-      image[c.a] += c.strength * scale[c.b];
-      image[c.b] += c.strength * scale[c.a];
-    }
+    for_each_part([&](Part& part) { look_at_rows(part); });
     double largest = 0;
     std::int32_t at = -1;
-    for (std::size_t b = 0; b < bodies; ++b)
-      if (const double ratio = image[b] / scale[b]; ratio > largest) largest = ratio, at = static_cast<std::int32_t>(b);
+    for (const Part& part : parts_)
+      if (part.largest > largest) largest = part.largest, at = part.worst;
     if (at < 0) break;  // no contact
     if (largest < least) least = largest, worst = at;
     // A body without contacts keeps its scale; the others turn towards Perron's vector.
-    for (std::size_t b = 0; b < bodies; ++b)
-      if (image[b] > 0) scale[b] = image[b] / largest;
+    for_each_part([&](const Part& part) {
+      for (std::int32_t b = part.begin; b < part.end; ++b)
+        if (image_[b] > 0) scale_[b] = image_[b] / largest;
+    });
   }
   if (worst_body) *worst_body = worst;
   if (worst < 0) return std::numeric_limits<double>::infinity();
   return 2 / std::sqrt(least * (1 + damping));
+}
+
+double largest_wall_frequency_squared(const std::vector<ContactView>& contacts, const Particles& particles) {
+  double largest = 0;
+  for (std::size_t k = 0; k < contacts.size();) {
+    const std::int32_t body = contacts[k].body_a;
+    Mat6 sum = Mat6::Zero();
+    for (; k < contacts.size() && contacts[k].body_a == body; ++k) {
+      const Vec3 lever = contacts[k].point - particles.position(body);
+      const Mat36 h = root_stiffness(contacts[k]) * mass_scaled_map(particles, body, lever);
+      sum += h.transpose() * h;
+    }
+    LOCKSTEP_ASSERT(k == contacts.size() || contacts[k].body_a > body, "contacts do not come body by body");
+    largest = std::max(largest, largest_eigenvalue_bound<Mat6>(sum));
+  }
+  return largest;
 }
 
 double critical_step_power(const std::vector<ContactView>& contacts, const Particles& particles, double damping,

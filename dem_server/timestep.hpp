@@ -14,34 +14,55 @@
 #pragma once
 #include <vector>
 
+#include "common/parallel.hpp"
 #include "dem_server/constants.hpp"
 #include "dem_server/contact_law.hpp"
 #include "dem_server/particles.hpp"
+#include "dem_server/travel.hpp"
 
 namespace lockstep::dem {
 
+// Bodies may lie in several parts, that threads add contacts to at the same time: the same bits come out.
 class StiffnessSum {
  public:
+  // All bodies in one part.
   void reset(std::size_t bodies);
-  // Adds one contact; of any family, body_b = -1 for a wall.
+  // The memory of an earlier sum is used again.
+  void reset(const Partition& partition);
+  // Adds one contact; of any family, body_b = -1 for a wall. Pairs need all bodies in one part.
   void add(const ContactView& contact, const Particles& particles);
   // In a periodic cell: `branch` goes from the centre of A to that of B's image.
   void add(const ContactView& contact, const Particles& particles, const Vec3& branch);
+  // Adds a pair to those of its two bodies that are the part's: a pair across a border is given to both parts.
+  void add_to_part(int part, const ContactView& contact, const Particles& particles);
   // Stable step [s], infinite without contacts; `worst_body` (may be null) is set to the body that limits it, -1 if
   // none.
-  double stable_step(double damping, std::int32_t* worst_body = nullptr) const;
+  double stable_step(double damping, std::int32_t* worst_body = nullptr, Team& team = Team::alone());
 
  private:
-  void add_levers(const ContactView& contact, const Particles& particles, const Vec3& lever_a, const Vec3& lever_b);
-
   using Mat6 = Eigen::Matrix<double, 6, 6>;
-  std::vector<Mat6> diagonal_;  // [1/s2]
   struct Coupling {
     std::int32_t a, b;
     double strength;  // a_c b_c [1/s2]
   };
-  std::vector<Coupling> couplings_;
+  struct Part {
+    std::int32_t begin = 0, end = 0;  // bodies
+    std::vector<Coupling> couplings;
+    double largest = 0;       // of the rows of its bodies, in a sweep [1/s2]
+    std::int32_t worst = -1;  // the body that has it
+  };
+  void add_levers(Part& part, const ContactView& contact, const Particles& particles, const Vec3& lever_a,
+                  const Vec3& lever_b);
+  void look_at_rows(Part& part);
+
+  std::vector<Mat6> diagonal_;  // [1/s2]
+  std::vector<Part> parts_;
+  std::vector<double> own_, scale_, image_;  // per body, of Gershgorin's rows
 };
+
+// omega^2 of the body that contacts with facets or walls alone hold most, zero without any [1/s2]. `contacts` come body by
+// body.
+double largest_wall_frequency_squared(const std::vector<ContactView>& contacts, const Particles& particles);
 
 // Estimate of the true limit, times power_margin / sqrt(1 + damping) [s]: power iteration on the assembled network of
 // linear springs with six degrees of freedom a body. Infinite without contacts. Deterministic. In a periodic cell

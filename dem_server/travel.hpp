@@ -21,10 +21,13 @@ struct TravelLimits {
   }
 };
 
-// Bodies of thread t: body_begin[t] .. body_begin[t+1]-1. Which bodies go to which thread decides speed alone.
+// Bodies of part p: body_begin[p] .. body_begin[p+1]-1. A part is what one thread works on at a time; which bodies are in
+// which part decides speed alone.
 struct Partition {
   std::vector<std::int32_t> body_begin;
   int size() const { return static_cast<int>(body_begin.size()) - 1; }
+  // Without parts, a thread's equal share is one.
+  int parts(int threads) const { return size() > 0 ? size() : threads; }
 };
 
 }  // namespace lockstep::dem

@@ -25,17 +25,14 @@ struct PebbleRange {
   std::int32_t begin = 0, end = 0;
 };
 
-// The pebbles of thread t's bodies; an empty partition shares the bodies out evenly.
-inline PebbleRange pebbles_of_thread(const Particles& particles, const Partition& partition, int threads, int t) {
-  const auto bodies = particles.body_count();
-  if (partition.size() > 0) {
-    LOCKSTEP_ASSERT(partition.size() == threads, "{} parts for {} threads", partition.size(), threads);
-    const auto first = static_cast<std::size_t>(partition.body_begin[static_cast<std::size_t>(t)]);
-    const auto last = static_cast<std::size_t>(partition.body_begin[static_cast<std::size_t>(t) + 1]);
-    return {particles.pebble_begin(first), particles.pebble_begin(last)};
-  }
-  const auto share = [&](int k) { return bodies * static_cast<std::size_t>(k) / static_cast<std::size_t>(threads); };
-  return {particles.pebble_begin(share(t)), particles.pebble_begin(share(t + 1))};
+// The pebbles of the bodies of one of partition.parts(threads) parts.
+inline PebbleRange pebbles_of_part(const Particles& particles, const Partition& partition, int threads, int part) {
+  const auto k = static_cast<std::size_t>(part);
+  if (partition.size() > 0)
+    return {particles.pebble_begin(static_cast<std::size_t>(partition.body_begin[k])),
+            particles.pebble_begin(static_cast<std::size_t>(partition.body_begin[k + 1]))};
+  const auto [first, last] = share_of(particles.body_count(), part, threads);
+  return {particles.pebble_begin(first), particles.pebble_begin(last)};
 }
 
 class WallCandidates {
@@ -53,11 +50,11 @@ class WallCandidates {
   template <class CouldTouch>
   void renew(const Particles& particles, const TravelLimits& limits, double allowance, Team& team,
              const Partition& partition, CouldTouch&& could_touch) {
-    parts_.resize(static_cast<std::size_t>(team.size()));
-    team.run([&](int t) {
-      Part& part = parts_[static_cast<std::size_t>(t)];
+    parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
+    team.run_parts(partition.parts(team.size()), [&](int k) {
+      Part& part = parts_[static_cast<std::size_t>(k)];
       part.pebbles.clear(), part.extra_end.clear(), part.extra.clear();
-      const PebbleRange range = pebbles_of_thread(particles, partition, team.size(), t);
+      const PebbleRange range = pebbles_of_part(particles, partition, team.size(), k);
       for (std::int32_t p = range.begin; p < range.end; ++p) {
         const auto i = static_cast<std::size_t>(p);
         const SphereRecord& at = limits.marks ? limits.marks[i] : particles.pebbles()[i];
@@ -107,7 +104,7 @@ class WallCandidates {
   };
   std::vector<std::int32_t> pebbles_;
   std::vector<std::int32_t> extra_begin_ = {0}, extra_;
-  std::vector<Part> parts_;  // one a thread
+  std::vector<Part> parts_;
   bool is_known_ = false;
   std::uint64_t renewal_ = 0;
   std::size_t pebble_count_ = 0;

@@ -495,10 +495,10 @@ WallTotals Walls::compute(Particles& particles, const GrainMaterial& material, d
   wall_end_.assign(walls_.size(), 0);
   contacts_.clear();
   if (candidates() > 0) {
-    parts_.resize(static_cast<std::size_t>(team.size()));
-    team.run([&](int t) {
-      press(particles, material, dt, pebbles_of_thread(particles, partition, team.size(), t),
-            parts_[static_cast<std::size_t>(t)]);
+    parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
+    team.run_parts(partition.parts(team.size()), [&](int k) {
+      press(particles, material, dt, pebbles_of_part(particles, partition, team.size(), k),
+            parts_[static_cast<std::size_t>(k)]);
     });
     gather();
   }
@@ -727,11 +727,11 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
   std::swap(contacts_, previous_);
   contacts_.clear();
   if (candidates_.size() > 0) {
-    parts_.resize(static_cast<std::size_t>(team.size()));
-    team.run([&](int t) {
-      std::vector<WallContact>& contacts = parts_[static_cast<std::size_t>(t)];
+    parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
+    team.run_parts(partition.parts(team.size()), [&](int k) {
+      std::vector<WallContact>& contacts = parts_[static_cast<std::size_t>(k)];
       contacts.clear();
-      const PebbleRange range = pebbles_of_thread(particles, partition, team.size(), t);
+      const PebbleRange range = pebbles_of_part(particles, partition, team.size(), k);
       const auto [first, last] = candidates_.within(range);
       Springs springs(previous_, range.begin);
       const auto velocity_at = [&](const Vec3&) -> Vec3 { return {0, 0, velocity_}; };

@@ -58,6 +58,28 @@ TEST_CASE("Threads work at the same time: a task that waits for all of them ends
   }
 }
 
+TEST_CASE("Parts are each worked on once, and by others where a thread is held up") {
+  for (const int size : sizes) {
+    Team team(size);
+    for (const int parts : {0, 1, 7, 100}) {
+      std::vector<std::atomic<int>> calls(static_cast<std::size_t>(parts));
+      team.run_parts(parts, [&](int part) { ++calls.at(static_cast<std::size_t>(part)); });
+      CAPTURE(size, parts);
+      for (const auto& of_one : calls) CHECK(of_one == 1);
+    }
+    if (size == 1) continue;
+    // Who gets part 0 waits until all others are done: with shares fixed beforehand, those of its own would never be.
+    std::atomic<int> done = 0;
+    team.run_parts(20, [&](int part) {
+      const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+      while (part == 0 && done < 19 && std::chrono::steady_clock::now() < deadline) std::this_thread::yield();
+      CHECK((part > 0 || done == 19));
+      ++done;
+    });
+    CHECK(done == 20);
+  }
+}
+
 TEST_CASE("Thousands of runs in a row each see what all threads wrote in the run before") {
   // Each thread's value becomes one more than the sum of all threads' values of the run before, so all are equal and
   // v(n) = size v(n-1) + 1, kept small by a prime's remainder. A run that began before the last one had ended, or that

@@ -86,6 +86,62 @@ TEST_CASE("one sphere on one spring: the exact limit, at most 6 % below it") {
   }
 }
 
+TEST_CASE("bodies in several parts, on several threads, have the bound of one part to the bit") {
+  // A pair across a border is given to both its parts, as the lists of PairContacts do. The grains stand on a wall that
+  // is added afterwards, by body.
+  FreeGrains world = lattice(6, 0.03);
+  world.particles.clear_forces();
+  world.contacts.update(world.particles);
+  world.contacts.compute(world.particles, world.material, 1e-6);
+  const Particles& p = world.particles;
+  std::vector<ContactView> pairs;  // those whose positions say which image touches
+  world.contacts.for_each_branch(p, [&](const ContactView& c, const Vec3& branch) {
+    if (branch.isApprox(p.position(c.body_b) - p.position(c.body_a))) pairs.push_back(c);
+  });
+  REQUIRE(pairs.size() == 3 * 5 * 36);
+  const auto walls_of = [&](StiffnessSum& sum) {
+    for (std::int32_t b = 0; b < 36; ++b) sum.add(wall_contact(p, b, Vec3(0, 0, -1), 1e6 * (1 + b), 1e5), p);
+  };
+  StiffnessSum whole;
+  whole.reset(p.body_count());
+  for (const ContactView& c : pairs) whole.add(c, p);
+  walls_of(whole);
+  std::int32_t worst = -1;
+  const double bound = whole.stable_step(0.2, &worst);
+  REQUIRE(std::isfinite(bound));
+
+  StiffnessSum parted;
+  for (const Partition& partition :
+       {Partition{{0, 216}}, Partition{{0, 100, 216}}, Partition{{0, 0, 7, 36, 36, 111, 215, 216}}}) {
+    Team team(3);
+    parted.reset(partition);
+    team.run_parts(partition.size(), [&](int part) {
+      const std::int32_t begin = partition.body_begin[static_cast<std::size_t>(part)],
+                         end = partition.body_begin[static_cast<std::size_t>(part) + 1];
+      const auto is_own = [&](std::int32_t b) { return b >= begin && b < end; };
+      for (const ContactView& c : pairs)
+        if (is_own(c.body_a) || is_own(c.body_b)) parted.add_to_part(part, c, p);
+    });
+    walls_of(parted);
+    std::int32_t named = -1;
+    CHECK(parted.stable_step(0.2, &named, team) == bound);
+    CHECK(named == worst);
+  }
+}
+
+TEST_CASE("contacts with walls alone: the body that they hold most") {
+  // One spring k_n along x on each of bodies 0 and 2, two on body 1: omega^2 = 2 k_n/m; the bound is at most 12 % above.
+  Particles p;
+  for (int b = 0; b < 3; ++b) p.add(make_clump(1, 1), 0.03, 2650, Vec3(b, 0, 0), Quat::Identity());
+  std::vector<ContactView> contacts;
+  CHECK(largest_wall_frequency_squared(contacts, p) == 0);
+  for (const std::int32_t b : {0, 1, 1, 2}) contacts.push_back(wall_contact(p, b, Vec3(1, 0, 0), 1e6, 0));
+  const double exact = 2 * 1e6 / p.mass(1), found = largest_wall_frequency_squared(contacts, p);
+  CAPTURE(found / exact - 1);
+  CHECK(found >= exact * (1 - 1e-12));
+  CHECK(found < 1.12 * exact);
+}
+
 TEST_CASE("without contacts no step is too long") {
   StiffnessSum sum;
   sum.reset(3);
