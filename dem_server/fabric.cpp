@@ -30,16 +30,26 @@ void Coordination::add(const ContactView& c) {
   if (c.body_b >= 0)
     pairs_.emplace_back(std::min(c.body_a, c.body_b), std::max(c.body_a, c.body_b));
   else
-    ++walls_[static_cast<std::size_t>(c.body_a)];
+    walls_.push_back(c.body_a);
 }
 
 PartnerCounts Coordination::partners() const {
   auto pairs = pairs_;
   std::sort(pairs.begin(), pairs.end());
   pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
-  std::vector<std::size_t> counts = walls_;
+  std::vector<std::size_t> counts(bodies_, 0);
+  for (const std::int32_t body : walls_) ++counts[static_cast<std::size_t>(body)];
   for (const auto& [a, b] : pairs) ++counts[static_cast<std::size_t>(a)], ++counts[static_cast<std::size_t>(b)];
   return PartnerCounts(std::move(counts));
+}
+
+std::size_t Coordination::partners_of(std::int32_t body) const {
+  std::vector<std::int32_t> others;
+  for (const auto& [a, b] : pairs_)
+    if (a == body || b == body) others.push_back(a == body ? b : a);
+  std::sort(others.begin(), others.end());
+  const auto distinct = std::unique(others.begin(), others.end()) - others.begin();
+  return static_cast<std::size_t>(distinct + std::count(walls_.begin(), walls_.end(), body));
 }
 
 void Fabric::add(const ContactView& c) {

@@ -44,13 +44,15 @@ class PartnerCounts {
 // pile or a facet is a partner of its own.
 class Coordination {
  public:
-  explicit Coordination(std::size_t bodies) : walls_(bodies, 0) {}
+  explicit Coordination(std::size_t bodies) : bodies_(bodies) {}
   void add(const ContactView& contact);
   PartnerCounts partners() const;
+  std::size_t partners_of(std::int32_t body) const;  // needs no memory for the others
   double mean() const { return partners().mean(); }
 
  private:
-  std::vector<std::size_t> walls_;                            // per body
+  std::size_t bodies_;
+  std::vector<std::int32_t> walls_;                           // a body once for each contact with one
   std::vector<std::pair<std::int32_t, std::int32_t>> pairs_;  // a pair once for each of its contacts
 };
 

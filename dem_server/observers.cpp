@@ -115,6 +115,20 @@ ContactSurvey survey(const Model& m) {
   return seen;
 }
 
+ContactSurvey survey(const Model& m, const std::vector<char>& is_wanted) {
+  ContactSurvey seen;
+  const auto add = [&](const ContactView& c) { seen.contacts.push_back(c); };
+  m.contacts.for_each_contact_of(m.particles, is_wanted, add);
+  seen.grain_pairs = seen.contacts.size();
+  const auto add_wanted = [&](const ContactView& c) {
+    if (is_wanted[static_cast<std::size_t>(c.body_a)]) add(c);
+  };
+  m.facets.for_each_contact(add_wanted);
+  m.walls.for_each_contact(add_wanted);
+  if (m.pile) m.pile->for_each_contact(add_wanted);
+  return seen;
+}
+
 Room room_of(const Model& m, const Settings& settings) {
   return [&m, &settings](const Vec3& x) {
     // Alone, the walls are the container, and may have moved since the packing was made in it.
@@ -198,6 +212,8 @@ void Observers::begin(const Model& m) {
                                                                           {"contact force sum [N]", "partners"}})));
     tracked_.emplace_back(m.particles, find_tracked(tracked, m.particles));
   }
+  is_tracked_.assign(m.particles.body_count(), 0);
+  for (const TrackedGrain& grain : tracked_) is_tracked_[static_cast<std::size_t>(grain.body())] = 1;
   for (const GridSettings& grid : asked.grids) {
     if (m.particles.body_count() == 0)
       throw InputError(fmt::format("{}: the scene has no grains to measure; leave the block out", grid.where));
@@ -219,12 +235,9 @@ void Observers::record(const Model& m, double s_over_d) {
   for (TrackedGrain& grain : tracked_) grain.follow(m.particles, m.last_time_step);
   const MeasureSettings& asked = settings_.measure;
   const bool has_rows = !asked.balls.empty() || asked.fabric || asked.force_network;
-  const bool is_row = has_rows && steps_ % asked.interval == 0;
-  const bool is_tracked_row = !tracked_.empty() && steps_ % settings_.history_interval == 0;
-  if (!is_row && !is_tracked_row) return;
+  if (!tracked_.empty() && steps_ % settings_.history_interval == 0) record_tracked(m, s_over_d);
+  if (!has_rows || steps_ % asked.interval != 0) return;
   const ContactSurvey seen = survey(m);
-  if (is_tracked_row) record_tracked(m, seen, s_over_d);
-  if (!is_row) return;
   record_balls(m, seen, s_over_d);
   if (fabric_rows_) record_fabric(m, seen, s_over_d);
   if (force_rows_) record_forces(m, seen, s_over_d);
@@ -272,8 +285,9 @@ void Observers::record_forces(const Model& m, const ContactSurvey& seen, double 
   force_rows_->add(row);
 }
 
-void Observers::record_tracked(const Model& m, const ContactSurvey& seen, double s_over_d) {
+void Observers::record_tracked(const Model& m, double s_over_d) {
   const Particles& p = m.particles;
+  const ContactSurvey seen = survey(m, is_tracked_);
   for (std::size_t n = 0; n < tracked_.size(); ++n) {
     const std::int32_t body = tracked_[n].body();
     Coordination coordination(p.body_count());
@@ -293,7 +307,7 @@ void Observers::record_tracked(const Model& m, const ContactSurvey& seen, double
     append(row, Vec3(p.spin(body)));
     append(row, tracked_[n].rotation(p));
     append(row, force);
-    append(row, {sum, static_cast<double>(coordination.partners()[static_cast<std::size_t>(body)])});
+    append(row, {sum, static_cast<double>(coordination.partners_of(body))});
     tracked_rows_[n]->add(row);
   }
 }

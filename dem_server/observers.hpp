@@ -26,6 +26,8 @@ struct ContactSurvey {
   std::span<const ContactView> between_grains() const { return std::span(contacts).first(grain_pairs); }
 };
 ContactSurvey survey(const Model& model);
+// Those of some bodies alone, `is_wanted` per body.
+ContactSurvey survey(const Model& model, const std::vector<char>& is_wanted);
 
 // Where grains could be: inside the packing's container, in front of all walls and outside the pile as they stand now.
 // `model` must outlive what is returned.
@@ -76,7 +78,7 @@ class Observers {
   void record_balls(const Model& model, const ContactSurvey& seen, double s_over_d);
   void record_fabric(const Model& model, const ContactSurvey& seen, double s_over_d);
   void record_forces(const Model& model, const ContactSurvey& seen, double s_over_d);
-  void record_tracked(const Model& model, const ContactSurvey& seen, double s_over_d);
+  void record_tracked(const Model& model, double s_over_d);
   void write_grids(const Model& model, const ContactSurvey& seen, int number);
   void write_distributions(const Model& model, const ContactSurvey& seen, int number);
 
@@ -89,6 +91,7 @@ class Observers {
   std::vector<std::unique_ptr<History>> ball_rows_, tracked_rows_;
   std::unique_ptr<History> fabric_rows_, force_rows_;
   std::vector<TrackedGrain> tracked_;
+  std::vector<char> is_tracked_;  // per body
   std::vector<CellGrid> grids_;
   std::vector<Series> grid_series_;
   double seconds_ = 0;  // [s]

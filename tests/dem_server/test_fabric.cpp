@@ -33,6 +33,7 @@ TEST_CASE("the mechanical coordination number leaves out grains with no or one p
   CHECK(n.distribution() == std::vector<std::size_t>{1, 2, 2, 2});
   CHECK(n.mean() == Approx(12.0 / 7));
   CHECK(n.rattlers() == 3);
+  for (std::int32_t b = 0; b < 7; ++b) CHECK(c.partners_of(b) == n[static_cast<std::size_t>(b)]);
   CHECK(n.mechanical_mean() == Approx(10.0 / 4));
   CHECK(n.of([](std::size_t b) { return b >= 4; }).mean() == Approx(2.0 / 3));
   CHECK(Coordination(0).mean() == 0);

@@ -103,6 +103,27 @@ TEST_CASE("a ball and a grid in a pressed lattice report its porosity, stress an
   }
 }
 
+TEST_CASE("a survey of some bodies has those contacts of the whole one that touch them, in its order") {
+  Model m = lattice(0.001);
+  m.walls = Walls(std::vector<PlaneSettings>{{Vec3(0, 0, -0.05), Vec3::UnitZ(), Vec3::Zero()}}, 0);
+  evaluate_forces(m);
+  std::vector<char> is_wanted(m.particles.body_count(), 0);
+  for (const std::size_t b : {0, 21, 63}) is_wanted[b] = 1;
+  const auto is_one = [&](std::int32_t body) { return body >= 0 && is_wanted[static_cast<std::size_t>(body)]; };
+  const ContactSurvey some = survey(m, is_wanted);
+  std::size_t found = 0;
+  for (const ContactView& c : survey(m).contacts) {
+    if (!is_one(c.body_a) && !is_one(c.body_b)) continue;
+    REQUIRE(found < some.contacts.size());
+    const ContactView& same = some.contacts[found++];
+    CHECK((same.body_a == c.body_a && same.body_b == c.body_b && same.force_on_a == c.force_on_a));
+  }
+  // Corners have three partners each, the inner grain six, and the lower corner stands on the wall.
+  CHECK(found == 3 + 6 + 3 + 1);
+  CHECK(some.contacts.size() == found);
+  CHECK(some.grain_pairs == found - 1);
+}
+
 TEST_CASE("a tracked grain is the nearest or the numbered one, and its way, turn and force are told") {
   // Two spheres and a clump in free flight with a constant spin about a principal axis: x = v t, turn = w t.
   Model m(0.002);
