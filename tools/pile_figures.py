@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 import pile_claims as claims
-from pile_runs import COUPLED, GRAIN, PILE_CONTACT, TRACE_PLACES, Missing
+from pile_runs import ALONE, COUPLED, GRAIN, PILE_CONTACT, RING, TRACE_PLACES, Missing
 from run_files import pebbles_behind_plane, pile_outline, read_vtk, rounded_limit
 from run_painting import PALE, PILE, paint_grains, paint_pile, paint_zones
 
@@ -425,3 +425,68 @@ def trace_curves(groups):
     axes[0, 0].set_ylabel("displacement sideways [mm]")
     axes[1, 0].set_ylabel("displacement z [mm]")
     return entitle(figure, "Displacement of the traced grains: 1, 3, 4 on one level (a, b); 1, 2 on the axis (c, d)")
+
+
+# --------------------------------------------------------------------------------------- beyond the paper: size of grains
+
+SIZE_APART = 1.1  # ratio from which on grains count as of another size
+AT_SHAFT = (0.25, 1.5)  # above the tip [D]: where porosity beside the shaft is looked at
+SHAFT_R, UNDER_TIP = np.arange(0.5, 1.7505, RING), np.arange(-2, 0.0005, RING)  # edges of rings there, and under the tip [D]
+
+
+def across_of(group):
+    return float(np.mean([run.grains_across() or np.nan for run in group.runs]))
+
+
+def of_sizes(groups):
+    """Groups of one kind from the coarsest grains to the finest; Missing where they are all of one size."""
+    for kind in (COUPLED, ALONE):
+        alike = sorted((g for g in groups if g.kind == kind and np.isfinite(across_of(g))), key=across_of)
+        if alike and across_of(alike[-1]) > SIZE_APART * across_of(alike[0]):
+            return alike
+    raise Missing("all grains are of one size")
+
+
+def beside_shaft(group, s_over_d, tip_at):
+    """Porosity in rings around the shaft, just above where the tip is at `tip_at`."""
+    return group.rings(s_over_d, SHAFT_R, np.array(AT_SHAFT) - tip_at)[0]
+
+
+def under_tip(group, s_over_d, tip_at):
+    return group.rings(s_over_d, np.array([0, 0.5]), UNDER_TIP - tip_at)[:, 0]
+
+
+def middles(edges):
+    return (edges[1:] + edges[:-1]) / 2
+
+
+def size_effects(groups):
+    shown = of_sizes(groups)
+    at = claims.LATE[0]
+    figure, axes = new_figure(5.6, 2, 2)
+    names = {group: f"{across_of(group):.1f} across, {seeds_of(group)}" for group in shown}
+    for group in shown:
+        paint_band(axes[0, 0], group.penetration, group.curves(claims.TIP, 1e-6), color_of(shown, group), names[group])
+    finish_curve(axes[0, 0], "tip resistance [MPa]", max(group.end for group in shown))
+    add_legend(axes[0, 0], shown)
+    across = [across_of(group) for group in shown]
+    for name, unit, words, marker in ((claims.TIP, 1e6, "tip, {} MPa", "o"), (claims.SHAFT, 1e3, "shaft, {} kN", "s")):
+        values = [group.estimate(lambda run, n=name: claims.window_mean(run, n, (0.5, 1.0))) for group in shown]
+        first = values[0].mean
+        axes[0, 1].errorbar(across, [v.mean / first for v in values], [np.nan_to_num(v.error) / first for v in values], marker=marker,
+                            capsize=3, color=COLORS[marker == "s"], label=words.format(f"{first / unit:.3g}"))
+    axes[0, 1].set(xlabel="grains across the pile", ylabel=f"mean over S/D 0.5 to 1, of that\nwith {across[0]:.1f} across", xlim=(0, None),
+                   ylim=(0, 1.1 * axes[0, 1].get_ylim()[1]))
+    axes[0, 1].legend(frameon=False, loc="lower left", title=f"with {across[0]:.1f} across:", alignment="left")
+    for panel, profile, edges, label in ((axes[1, 0], beside_shaft, SHAFT_R, "distance from the axis [D]"),
+                                         (axes[1, 1], under_tip, UNDER_TIP, "z from the tip [D]")):
+        for group in with_data(shown, lambda g, p=profile: p(g, at, at)):
+            panel.plot(middles(edges), profile(group, at, at), color=color_of(shown, group), linewidth=1.8)
+            panel.plot(middles(edges), profile(group, 0.0, at), color=color_of(shown, group), linewidth=1, linestyle="--")
+        panel.set(xlabel=label, ylabel="porosity")
+        panel.grid(color=PALE)
+    axes[1, 0].set_title(f"beside the shaft, {AT_SHAFT[0]:g} to {AT_SHAFT[1]:g} D above the tip")
+    axes[1, 1].set_title("under the tip, r < D/2")
+    axes[0, 1].grid(color=PALE)
+    return entitle(figure, f"{', '.join(f'{a:.1f}' for a in across[:-1])} and {across[-1]:.1f} grains across the pile: resistance, and "
+                           f"porosity at S/D = {at:g} (dashed: there at S = 0)")

@@ -16,6 +16,7 @@ TOOLS = os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abs
 sys.path.insert(0, TOOLS)
 sys.dont_write_bytecode = True
 import pile_claims as claims  # noqa: E402
+import pile_figures as figures  # noqa: E402
 import pile_runs  # noqa: E402
 from run_files import read_scene  # noqa: E402
 
@@ -75,7 +76,8 @@ def resistance(at, late):
     return 1e6 * (30 * np.minimum(at, 0.4) + 5 * np.clip(at - 0.4, 0, 0.3) + late * np.clip(at - 0.7, 0, None))
 
 
-def make_run(folder, seed=1, late=1.0, end=1.0, overrides=(), is_coupled=True, scene_text="", bulb=None, core=-0.05, sleeve=0.05, first=0.9):
+def make_run(folder, seed=1, late=1.0, end=1.0, overrides=(), is_coupled=True, scene_text="", bulb=None, core=-0.05, sleeve=0.05, first=0.9,
+             across=4.5):
     os.makedirs(folder)
     at = np.r_[0, np.arange(0, end + 0.0005, 0.001)]
     rows = np.stack([np.r_[-0.1, at[1:]], at, resistance(at, late), 1e5 * at], axis=1)
@@ -90,6 +92,7 @@ def make_run(folder, seed=1, late=1.0, end=1.0, overrides=(), is_coupled=True, s
     if end >= 1:
         with open(os.path.join(folder, "dem_summary.json"), "w") as file:
             json.dump({"title": "made up", "seed": seed, "pile_diameter": D, "pile_tip_z_start": TIP, "steps": 1000, "grains": 10,
+                       "mean_radius_m": D / (2 * across),
                        "seconds": 100.0 if is_coupled else 250.0,
                        "stages": {"Apply": {"seconds": 1.0}, "Penetrate": {"seconds": 9.0 if is_coupled else 29.0}}}, file)
     write_series(folder, "contacts", "vtp", contacts)
@@ -266,6 +269,27 @@ def check_pair(folder):
     close("correlation of equal fields", claims.fields_alike(*pair).numbers["correlation_0.7"], 1.0)
 
 
+def check_sizes(folder):
+    for name, how in {"coarse": {}, "coarse_too": {"seed": 2}, "fine": {"across": 9.0, "overrides": ["grains.packing.count=9"]}}.items():
+        make_run(os.path.join(folder, name), **how)
+    groups = pile_runs.grouped([pile_runs.Run(os.path.join(folder, name)) for name in ("fine", "coarse", "coarse_too")])
+    sizes = figures.of_sizes(groups)
+    holds("from coarse grains to fine ones", [round(figures.across_of(group), 9) for group in sizes] == [4.5, 9.0])
+    change = figures.beside_shaft(sizes[1], 0.7, 0.7) - figures.beside_shaft(sizes[1], 0.0, 0.7)
+    # Cells of 0.2 D belong to the sleeve or not: its two rings have it but for their rims, rings a cell away have nothing of it.
+    close("the sleeve beside the shaft", change[:2].mean(), 0.05, 0.01)
+    close("and beyond", np.abs(change[4:7]).max(), 0.0, 1e-12)
+    # The core's cone is 1 - depth of half a diameter wide: in the ring at depth y it fills (1 - y)^2 of the pile's section.
+    change = (figures.under_tip(sizes[0], 0.7, 0.7) - figures.under_tip(sizes[0], 0.0, 0.7))[::-1]
+    depth = -figures.middles(figures.UNDER_TIP)[::-1]
+    close("the core under the tip", np.abs(change - np.where(depth < 1, -0.05 * (1 - depth) ** 2, 0))[1:].max(), 0.0, 0.01)
+    try:
+        figures.of_sizes(sizes[:1])
+        holds("grains of one size are not compared", False)
+    except pile_runs.Missing:
+        holds("grains of one size are not compared", True)
+
+
 def report(*words):
     return subprocess.run([os.path.join(TOOLS, "report"), *words], capture_output=True, text=True, check=False)
 
@@ -299,7 +323,7 @@ def main():
     check_slope()
     check_rings()
     check_regions()
-    for check in (check_run, check_groups, check_verdicts, check_pair, check_page):
+    for check in (check_run, check_groups, check_verdicts, check_pair, check_sizes, check_page):
         with tempfile.TemporaryDirectory() as folder:
             check(folder)
     for failure in failures:
