@@ -8,6 +8,9 @@ namespace lockstep::dem {
 // times the contacts.
 inline constexpr double outer_skin_factor = 6;
 
+// Up to this share of the pebbles are listed anew one by one; beyond it the outer list is made anew from cells.
+inline constexpr double most_strays = 0.005;
+
 // The inner list's skin: by this factor wider when a list has lasted fewer updates than the first number, tighter when it
 // has lasted more than the second, and never further than skin_range from where it began. The kernel study has 2.5 to
 // 3.6 steps for a refresh and 1.12 to 1.23 entries a contact for skins of 0.02 to 0.06 R: some tens of steps are right.

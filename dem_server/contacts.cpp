@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <iterator>
 #include <utility>
 
 #include "common/checks.hpp"
@@ -121,7 +122,7 @@ void PairContacts::update(const Particles& particles, Team& team) {
   const double ended_skin = skin_;
   if (has_lists_) adapt_skin();
   age_ = 0;
-  if (!has_lists_ || is_outer_used_up(particles)) rebuild_outer(particles, team);
+  renew_outer(particles, ended_skin, team);
   refresh_inner(particles, ended_skin, team);
 }
 
@@ -181,19 +182,97 @@ bool PairContacts::has_left(const Particles& particles, Team& team) const {
   return any;
 }
 
-// The inner list takes every pair with a gap below the skin, and all partners of fast pebbles: none of them may be
-// missing from the outer list.
-bool PairContacts::is_outer_used_up(const Particles& particles) const {
+// The inner list takes every pair with a gap below the skin, and all partners of fast pebbles: none of them may be missing
+// from the outer list. While few pebbles have gone too far from their marks in it, these alone are listed anew; fast ones
+// already half-way, so that they need not be looked at again so soon. `ended_skin` is that of the inner list that ends.
+void PairContacts::renew_outer(const Particles& particles, double ended_skin, Team& team) {
   const double limit = 0.5 * (outer_reach_ - skin_) - outer_used_up(particles);
-  if (limit <= 0) return true;
+  const double calm = 0.5 * ended_skin - used_up(particles);
+  const double wanted_reach = outer_skin_factor * skin_;
+  const bool fits = outer_reach_ < 4 * wanted_reach && wanted_reach < 2 * outer_reach_;
+  if (!has_lists_ || !fits || limit <= 0 || calm <= 0) {
+    rebuild_outer(particles, team);
+    return;
+  }
+  struct Strays {
+    std::vector<std::int32_t> pebbles;
+    bool is_any_late = false;
+  };
+  std::vector<Strays> found(static_cast<std::size_t>(team.size()));
+  team.run([&](int thread) {
+    Strays& strays = found[static_cast<std::size_t>(thread)];
+    const SphereRecord* pebbles = particles.pebbles();
+    const auto [begin, end] = share_of(outer_marks_.size(), thread, team.size());
+    for (std::size_t p = begin; p < end; ++p) {
+      const double way = squared_distance(pebbles[p], outer_marks_[p]);
+      if (way <= 0.25 * limit * limit) continue;
+      const bool is_late = !(way <= limit * limit);  // or nowhere
+      if (!is_late && squared_distance(pebbles[p], marks_[p]) <= calm * calm) continue;
+      strays.pebbles.push_back(static_cast<std::int32_t>(p));
+      strays.is_any_late |= is_late;
+    }
+  });
+  std::vector<std::int32_t> strays;
+  bool is_any_late = false;
+  for (const Strays& of_thread : found) {
+    strays.insert(strays.end(), of_thread.pebbles.begin(), of_thread.pebbles.end());
+    is_any_late |= of_thread.is_any_late;
+  }
+  std::size_t relisted = relisted_.size();
+  bool are_finite = true;
+  for (const std::int32_t p : strays) {
+    relisted += std::find(relisted_.begin(), relisted_.end(), p) == relisted_.end();
+    are_finite &= particles.pebble_center(p).allFinite();
+  }
+  const auto most = static_cast<std::size_t>(most_strays * static_cast<double>(particles.pebble_count()));
+  if (!period_ && are_finite && relisted <= most)
+    list_anew(particles, strays);
+  else if (is_any_late)
+    rebuild_outer(particles, team);
+}
+
+// Puts the strays' pairs into the outer list; pairs that they had before stay, and do no harm. The cells know the others
+// where they were sorted, which is where their marks are unless they were strays themselves.
+void PairContacts::list_anew(const Particles& particles, const std::vector<std::int32_t>& strays) {
   const SphereRecord* pebbles = particles.pebbles();
-  for (std::size_t p = 0; p < outer_marks_.size(); ++p)
-    if (!(squared_distance(pebbles[p], outer_marks_[p]) <= limit * limit)) return true;
-  return false;
+  for (const std::int32_t p : strays) {
+    outer_marks_[p] = pebbles[p];
+    if (std::find(relisted_.begin(), relisted_.end(), p) == relisted_.end()) relisted_.push_back(p);
+  }
+  std::vector<std::pair<std::int32_t, std::int32_t>> pairs;
+  std::vector<std::int32_t> near;
+  for (const std::int32_t p : strays) {
+    search_.partners(particles, p, near);
+    for (const std::int32_t q : relisted_) {
+      const double range = outer_reach_ + pebbles[p].radius + pebbles[q].radius;
+      if (particles.pebble_body(q) != particles.pebble_body(p) &&
+          squared_distance(outer_marks_[p], outer_marks_[q]) < range * range)
+        near.push_back(q);
+    }
+    for (const std::int32_t q : near) pairs.emplace_back(std::min(p, q), std::max(p, q));
+  }
+  std::sort(pairs.begin(), pairs.end());
+  pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
+  for (auto next = pairs.begin(); next != pairs.end();) {
+    const std::size_t c = static_cast<std::size_t>(particles.pebble_body(next->first)) / chunk_bodies;
+    OuterChunk merged;
+    const OuterChunk& old = outer_[c];
+    std::int32_t i = chunk_pebble(particles, c);
+    for (std::size_t n = 0; n + 1 < old.begin.size(); ++n, ++i) {
+      merged.begin.push_back(static_cast<std::int32_t>(merged.partners.size()));
+      near.clear();
+      for (; next != pairs.end() && next->first == i; ++next) near.push_back(next->second);
+      std::set_union(old.partners.begin() + old.begin[n], old.partners.begin() + old.begin[n + 1], near.begin(),
+                     near.end(), std::back_inserter(merged.partners));
+    }
+    merged.begin.push_back(static_cast<std::int32_t>(merged.partners.size()));
+    outer_[c] = std::move(merged);
+  }
 }
 
 void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
   outer_reach_ = outer_skin_factor * skin_;
+  relisted_.clear();
   search_.sort(particles, outer_reach_, period_);
   const std::size_t chunks = chunk_count(particles);
   outer_.resize(chunks);
@@ -231,12 +310,15 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
   const bool has_marks = marks_.size() == pebbles;
   marks_.resize(pebbles);
   is_fast_.resize(pebbles);
-  for (std::size_t p = 0; p < pebbles; ++p) {
-    is_fast_[p] = has_marks && !(squared_distance(record[p], marks_[p]) <= calm * calm);
-    const double outer_travel = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
-    marks_[p] = record[p];
-    marks_[p].radius = is_fast_[p] ? 0.5 * outer_reach_ - outer_travel : 0.5 * skin_;
-  }
+  team.run([&](int thread) {
+    const auto [begin, end] = share_of(pebbles, thread, team.size());
+    for (std::size_t p = begin; p < end; ++p) {
+      is_fast_[p] = has_marks && !(squared_distance(record[p], marks_[p]) <= calm * calm);
+      const double outer_travel = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
+      marks_[p] = record[p];
+      marks_[p].radius = is_fast_[p] ? 0.5 * outer_reach_ - outer_travel : 0.5 * skin_;
+    }
+  });
   growth_ = particles.growth();
   strain_mark_ = strained_;
 

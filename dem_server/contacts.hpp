@@ -17,8 +17,8 @@
 // WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is
 // not in the inner list has a gap of at least s, so h = s/2 is safe for both. A pebble that has used up s/2 while all
 // others have hardly moved, a rattler flying in its cage, would renew the list again and again; such a pebble gets all
-// its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. Displacements are
-// exact travel, not sums of speeds. The skin follows the motion: lists that do not last get a wider one, lists that last
+// its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. When it has used that up,
+// it alone is listed anew in the outer list. Displacements are exact travel, not sums of speeds. The skin follows the motion: lists that do not last get a wider one, lists that last
 // for long a tighter one; only counts of steps decide, so that a run repeats itself.
 //
 // Rejected: one record per contact gathered by body (1.7 times slower), a list walked twice (both bodies; same),
@@ -160,7 +160,8 @@ class PairContacts {
   double used_up(const Particles& particles) const;  // of each pebble's limit by growth and strain, inner list [m]
   double outer_used_up(const Particles& particles) const;  // [m]
   bool has_left(const Particles& particles, Team& team) const;
-  bool is_outer_used_up(const Particles& particles) const;
+  void renew_outer(const Particles& particles, double ended_skin, Team& team);
+  void list_anew(const Particles& particles, const std::vector<std::int32_t>& strays);
   void adapt_skin();
   void rebuild_outer(const Particles& particles, Team& team);
   void refresh_inner(const Particles& particles, double ended_skin, Team& team);
@@ -188,10 +189,11 @@ class PairContacts {
 
   NeighborSearch search_;
   std::vector<OuterChunk> outer_;
-  LargeArray<SphereRecord> outer_marks_;       // per pebble: centre when the outer list was made
-  LargeArray<SphereRecord> marks_;             // per pebble: centre at the last renewal, and its limit
-  std::vector<char> is_fast_;                  // per pebble, at the last renewal
-  double outer_growth_ = 0, growth_ = 0;       // Particles::growth() then [m]
+  LargeArray<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made, or when it was listed anew
+  std::vector<std::int32_t> relisted_;    // the pebbles that were, since
+  LargeArray<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
+  std::vector<char> is_fast_;             // per pebble, at the last renewal
+  double outer_growth_ = 0, growth_ = 0;  // Particles::growth() then [m]
   double outer_strain_ = 0, strain_mark_ = 0;  // strained_ then
   Vec3 strain_rate_ = Vec3::Zero();            // in the step that led to t_n [1/s]
   double strained_ = 0;                        // sum of the cell's largest strain increments, whatever their sign

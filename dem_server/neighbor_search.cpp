@@ -115,16 +115,25 @@ void NeighborSearch::fill(Grid& grid, const Particles& particles, const std::vec
   }
 }
 
+void NeighborSearch::partners(const Particles& particles, std::int32_t i, std::vector<std::int32_t>& partners) const {
+  find(particles, i, 0, partners);
+}
+
 void NeighborSearch::partners_after(const Particles& particles, std::int32_t i,
                                     std::vector<std::int32_t>& partners) const {
+  find(particles, i, i + 1, partners);
+}
+
+void NeighborSearch::find(const Particles& particles, std::int32_t i, std::int32_t lowest,
+                          std::vector<std::int32_t>& partners) const {
   partners.clear();
   const Vec3 center = wrapped(particles.pebble_center(i), period_);
-  for (const Grid& grid : grids_) look_into(grid, particles, i, center, partners);
+  for (const Grid& grid : grids_) look_into(grid, particles, i, center, lowest, partners);
   std::sort(partners.begin(), partners.end());
 }
 
 void NeighborSearch::look_into(const Grid& grid, const Particles& particles, std::int32_t i, const Vec3& center,
-                               std::vector<std::int32_t>& partners) const {
+                               std::int32_t lowest, std::vector<std::int32_t>& partners) const {
   const std::size_t known = partners.size();
   const std::int32_t body = particles.pebble_body(i);
   const SphereRecord own = particles.pebbles()[i];
@@ -175,7 +184,7 @@ void NeighborSearch::look_into(const Grid& grid, const Particles& particles, std
     }
   auto kept = partners.begin() + static_cast<std::ptrdiff_t>(known);
   for (auto k = kept; k != partners.end(); ++k)
-    if (const std::int32_t j = grid.pebbles[*k]; j > i && particles.pebble_body(j) != body) *kept++ = j;
+    if (const std::int32_t j = grid.pebbles[*k]; j >= lowest && particles.pebble_body(j) != body) *kept++ = j;
   partners.erase(kept, partners.end());
 }
 

@@ -26,16 +26,20 @@ class NeighborSearch {
   // NumericalError, naming the body, when a position is not finite.
   void sort(const Particles& particles, double reach, const std::optional<Vec3>& period);
 
-  // Partners j > i of pebble i with a gap below the reach, pebbles of its own body left out, in rising order. May be
-  // called by several threads.
+  // Partners of pebble i where it is now, of others where they were sorted: with a gap below the reach, pebbles of its own
+  // body left out, in rising order. May be called by several threads.
+  void partners(const Particles& particles, std::int32_t i, std::vector<std::int32_t>& partners) const;
+  // Those j > i alone.
   void partners_after(const Particles& particles, std::int32_t i, std::vector<std::int32_t>& partners) const;
 
   std::size_t memory() const;  // [bytes]
 
  private:
   struct Grid;
-  // Adds the partners in one grid, in any order.
-  void look_into(const Grid& grid, const Particles& particles, std::int32_t i, const Vec3& center,
+  // Partners from number `lowest` on.
+  void find(const Particles& particles, std::int32_t i, std::int32_t lowest, std::vector<std::int32_t>& partners) const;
+  // Adds those in one grid, in any order.
+  void look_into(const Grid& grid, const Particles& particles, std::int32_t i, const Vec3& center, std::int32_t lowest,
                  std::vector<std::int32_t>& partners) const;
 
   // Pebbles of radii in (half the largest, largest].

@@ -180,6 +180,31 @@ TEST_CASE("one, two, three and eight threads give the same bits, state and total
   }
 }
 
+TEST_CASE("any number of threads finds the same limit of the step, of the same grain") {
+  for (const Crowd crowd : {Crowd::Spheres, Crowd::Mixed}) {
+    const auto pressed = [&](int threads) {
+      auto model = squeezed(crowd, threads);
+      choose_material(*model, 0);
+      model->facet_material.contact_modulus = model->material.contact_modulus;
+      model->particles.scale_all(1.45);
+      evaluate_forces(*model);
+      return model;
+    };
+    const auto alone = pressed(1);
+    REQUIRE(alone->pair_totals.active > 3000);
+    const StepLimit truth = stable_step(*alone, 0.2);
+    REQUIRE(truth.worst_body >= 0);
+    for (const int threads : {2, 3, 8}) {
+      const auto model = pressed(threads);
+      const StepLimit limit = stable_step(*model, 0.2);
+      CAPTURE(static_cast<int>(crowd), threads, limit.step);
+      CHECK(limit.step == truth.step);
+      CHECK(limit.worst_body == truth.worst_body);
+      CHECK(limit.touching_squared == truth.touching_squared);
+    }
+  }
+}
+
 // A new size of the team renews the list, and another list has its sums in another order (see the last test): the state alone
 // is the same to the bit.
 TEST_CASE("a team that changes its size on the way changes no bit of the state") {

@@ -730,3 +730,51 @@ TEST_CASE("a rattler that flies in its cage renews the lists at most once a flig
   CHECK(world.contacts.refreshes() < std::lround(half_skins / 6));
   CHECK(world.contacts.rebuilds() == 1);
 }
+
+TEST_CASE("few grains that fly far are listed anew alone, and no contact of theirs is missed") {
+  // 1,728 spheres at rest, a tenth of their diameter apart. Four more are led through them and through each other, some 60
+  // outer skins far: cells are sorted once. Two meet in the middle, having both left the cells that know them.
+  const double r = 0.02, skin = 0.0006, pitch = 2.2 * r;
+  Particles p;
+  const ClumpTemplate sphere = make_clump(1, 1);
+  const auto add = [&](const Vec3& at) { return p.add(sphere, r, 2650, at, Quat::Identity()); };
+  for (int k = 0; k < 864; ++k) add(pitch * Vec3(k % 12, k / 12 % 12, k / 144));
+  const Vec3 ways[] = {{11, 11, 11}, {-11, 11, -11}, {11, -3, 5}, {0, 0, 11}};
+  const Vec3 starts[] = {{0, 0, 0}, {11, 0, 11}, {0, 8, 3}, {5.5, 5.5, 0}};
+  std::vector<std::int32_t> fliers;
+  for (const Vec3& start : starts) fliers.push_back(add(pitch * start));
+  for (int k = 864; k < 1728; ++k) add(pitch * Vec3(k % 12, k / 12 % 12, k / 144));
+  for (const int threads : {1, 2}) {
+    Team team(threads);
+    PairContacts contacts(skin);
+    GrainMaterial material;
+    constexpr int steps = 1200;
+    int wrong = 0, met = 0;
+    std::int64_t touches = 0;
+    for (int n = 0; n <= steps; ++n) {
+      for (std::size_t f = 0; f < fliers.size(); ++f)
+        p.position(fliers[f]) = pitch * (starts[f] + n / double(steps) * ways[f]);
+      contacts.update(p, team);
+      p.clear_forces();
+      const std::int64_t found = contacts.compute(p, material, 1e-5, Detail::All, team).active;
+      std::int64_t truth = 0;
+      for (const std::int32_t f : fliers)
+        for (std::size_t b = 0; b < p.body_count(); ++b) {
+          const bool is_flier = std::find(fliers.begin(), fliers.end(), b) != fliers.end();
+          if ((is_flier && static_cast<std::int32_t>(b) <= f) ||
+              (std::as_const(p).position(b) - std::as_const(p).position(f)).norm() >= 2 * r)
+            continue;
+          ++truth;
+          met += is_flier;
+        }
+      wrong += found != truth;
+      touches += truth;
+    }
+    CAPTURE(threads, touches, met, contacts.refreshes());
+    CHECK(wrong == 0);
+    CHECK(touches > 5000);
+    CHECK(met > 20);
+    CHECK(contacts.refreshes() > 100);
+    CHECK(contacts.rebuilds() <= 3);  // the skin widens by more than twice
+  }
+}
