@@ -188,6 +188,7 @@ bool PairContacts::has_left(const Particles& particles, Team& team) const {
 void PairContacts::renew_outer(const Particles& particles, double ended_skin, Team& team) {
   const double limit = 0.5 * (outer_reach_ - skin_) - outer_used_up(particles);
   const double calm = 0.5 * ended_skin - used_up(particles);
+  // The skin has changed since. Too tight a list would be used up at once; one too wide costs little, and spares rattlers.
   const double wanted_reach = outer_skin_factor * skin_;
   const bool fits = outer_reach_ < 4 * wanted_reach && wanted_reach < 2 * outer_reach_;
   if (!has_lists_ || !fits || limit <= 0 || calm <= 0) {

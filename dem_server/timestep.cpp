@@ -36,6 +36,13 @@ Mat3 root_stiffness(const ContactView& c) {
   return (n - s) * c.normal * c.normal.transpose() + s * Mat3::Identity();
 }
 
+// What a contact with a wall adds to its body's diagonal block.
+Mat6 wall_block(const ContactView& contact, const Particles& particles) {
+  const Vec3 lever = contact.point - particles.position(contact.body_a);
+  const Mat36 h = root_stiffness(contact) * mass_scaled_map(particles, contact.body_a, lever);
+  return h.transpose() * h;
+}
+
 // Upper bound of the largest eigenvalue of a positive semi-definite matrix, at most size^(1/16) too large:
 // |D^8|_F^(1/8).
 template <class Matrix>
@@ -68,14 +75,13 @@ void StiffnessSum::add(const ContactView& contact, const Particles& particles) {
 }
 
 void StiffnessSum::add(const ContactView& contact, const Particles& particles, const Vec3& branch) {
-  const Vec3 lever_a = contact.point - particles.position(contact.body_a);
-  if (contact.body_b >= 0) {
-    LOCKSTEP_ASSERT(parts_.size() == 1, "a pair among bodies of {} parts", parts_.size());
-    add_levers(parts_[0], contact, particles, lever_a, Vec3(lever_a - branch));
+  if (contact.body_b < 0) {
+    diagonal_[contact.body_a] += wall_block(contact, particles);
     return;
   }
-  const Mat36 h = root_stiffness(contact) * mass_scaled_map(particles, contact.body_a, lever_a);
-  diagonal_[contact.body_a] += h.transpose() * h;
+  LOCKSTEP_ASSERT(parts_.size() == 1, "a pair among bodies of {} parts", parts_.size());
+  const Vec3 lever_a = contact.point - particles.position(contact.body_a);
+  add_levers(parts_[0], contact, particles, lever_a, Vec3(lever_a - branch));
 }
 
 void StiffnessSum::add_to_part(int part, const ContactView& contact, const Particles& particles) {
@@ -143,11 +149,7 @@ double largest_wall_frequency_squared(const std::vector<ContactView>& contacts, 
   for (std::size_t k = 0; k < contacts.size();) {
     const std::int32_t body = contacts[k].body_a;
     Mat6 sum = Mat6::Zero();
-    for (; k < contacts.size() && contacts[k].body_a == body; ++k) {
-      const Vec3 lever = contacts[k].point - particles.position(body);
-      const Mat36 h = root_stiffness(contacts[k]) * mass_scaled_map(particles, body, lever);
-      sum += h.transpose() * h;
-    }
+    for (; k < contacts.size() && contacts[k].body_a == body; ++k) sum += wall_block(contacts[k], particles);
     LOCKSTEP_ASSERT(k == contacts.size() || contacts[k].body_a > body, "contacts do not come body by body");
     largest = std::max(largest, largest_eigenvalue_bound<Mat6>(sum));
   }
