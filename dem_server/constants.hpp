@@ -21,6 +21,14 @@ inline constexpr int short_list_age = 30;
 inline constexpr int long_list_age = 120;
 inline constexpr double skin_range = 3;
 
+// A pebble's limit in the inner list: this many times what it used of the last one, but at least this share of the last one, so
+// that a burst is remembered for ten lists, and this share of half the skin. In the paper's case at S/D = 0.03 these have
+// 1.42 entries a contact and a list in 41 steps; a margin of 2 and a share of 0.02 have 1.24 and one in 20, at the same cost
+// of contacts and a higher one of lists.
+inline constexpr double limit_margin = 3;
+inline constexpr double limit_memory = 0.9;
+inline constexpr double tightest_limit = 0.1;
+
 // A stretched cloud (a grain that flew away) may not ask for more cells than this many a pebble; cells grow instead.
 inline constexpr double cells_per_pebble = 4;
 

@@ -175,15 +175,15 @@ bool PairContacts::has_left(const Particles& particles, Team& team) const {
     int left = 0;
     for (auto p = static_cast<std::size_t>(chunk_pebble(particles, part_chunk_[k])); p < end; ++p) {
       const double limit = marks_[p].radius - growth;
-      left |= !(squared_distance(pebbles[p], marks_[p]) <= limit * limit);
+      left |= (limit < 0) | !(squared_distance(pebbles[p], marks_[p]) <= limit * limit);
     }
     if (left) any.store(true, std::memory_order_relaxed);
   });
   return any;
 }
 
-// The inner list takes every pair with a gap below the skin, and all partners of fast pebbles: none of them may be missing
-// from the outer list. While few pebbles have gone too far from their marks in it, these alone are listed anew; fast ones
+// The inner list takes pairs with gaps up to the skin, and all partners of fast pebbles: none of them may be missing from
+// the outer list. While few pebbles have gone too far from their marks in it, these alone are listed anew; fast ones
 // already half-way, so that they need not be looked at again so soon. `ended_skin` is that of the inner list that ends.
 void PairContacts::renew_outer(const Particles& particles, double ended_skin, Team& team) {
   const double limit = 0.5 * (outer_reach_ - skin_) - outer_used_up(particles);
@@ -302,22 +302,32 @@ void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
   ++rebuilds_;
 }
 
-// `ended_skin` is that of the list that ends: a pebble that has used its half of it up is fast.
+// Limits follow what each pebble used of its last one. `ended_skin` is that of the list that ends: a pebble that has used its
+// half of it up is fast.
 void PairContacts::refresh_inner(const Particles& particles, double ended_skin, Team& team) {
   const std::size_t pebbles = particles.pebble_count();
   const SphereRecord* record = particles.pebbles();
-  const double calm = 0.5 * ended_skin - used_up(particles);
-  const double outer_growth = outer_used_up(particles);
+  const double growth = used_up(particles), outer_growth = outer_used_up(particles);
+  const double widest = 0.5 * skin_, tightest = tightest_limit * widest;
   const bool has_marks = marks_.size() == pebbles;
   marks_.resize(pebbles);
-  is_fast_.resize(pebbles);
+  reach_.resize(pebbles);
   team.run([&](int thread) {
     const auto [begin, end] = share_of(pebbles, thread, team.size());
     for (std::size_t p = begin; p < end; ++p) {
-      is_fast_[p] = has_marks && !(squared_distance(record[p], marks_[p]) <= calm * calm);
-      const double outer_travel = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
-      marks_[p] = record[p];
-      marks_[p].radius = is_fast_[p] ? 0.5 * outer_reach_ - outer_travel : 0.5 * skin_;
+      SphereRecord& mark = marks_[p];
+      double limit = widest, reach = record[p].radius + widest;
+      if (has_marks) {
+        const double used = std::sqrt(squared_distance(record[p], mark)) + growth;
+        const bool is_fast = !(used <= 0.5 * ended_skin);
+        const double outer_used = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
+        const double wanted = std::max(limit_margin * used, limit_memory * mark.radius);
+        limit = is_fast ? 0.5 * outer_reach_ - outer_used : std::clamp(wanted, tightest, widest);
+        reach = is_fast ? far_away : record[p].radius + limit;
+      }
+      reach_[p] = reach;
+      mark = record[p];
+      mark.radius = limit;
     }
   });
   growth_ = particles.growth();
@@ -346,9 +356,8 @@ std::span<const std::int32_t> PairContacts::near_partners(const Particles& parti
                                                           const std::int32_t* partners,
                                                           std::span<std::int32_t> near) const {
   const SphereRecord* pebbles = particles.pebbles();
-  const char* is_fast = is_fast_.data();
+  const double* reach = reach_.data();
   const SphereRecord own = pebbles[i];
-  const double reach = own.radius + skin_;
   std::size_t kept = 0;
   for (std::size_t k = 0; k < near.size(); ++k) {
     const std::int32_t j = partners[k];
@@ -357,9 +366,9 @@ std::span<const std::int32_t> PairContacts::near_partners(const Particles& parti
       const Vec3 shift = nearest_image({x, y, z}, *period_);
       x += shift.x(), y += shift.y(), z += shift.z();
     }
-    const double range = reach + pebbles[j].radius;
+    const double range = reach[i] + reach[j];
     near[kept] = j;
-    kept += (x * x + y * y + z * z < range * range) | is_fast[i] | is_fast[j];
+    kept += x * x + y * y + z * z < range * range;
   }
   return near.first(kept);
 }
@@ -571,7 +580,7 @@ void PairContacts::clear_history() {
 
 std::size_t PairContacts::memory() const {
   const auto bytes = [](const auto& values) { return values.capacity() * sizeof(values[0]); };
-  std::size_t sum = search_.memory() + bytes(marks_) + bytes(outer_marks_) + bytes(is_fast_) + bytes(sums_);
+  std::size_t sum = search_.memory() + bytes(marks_) + bytes(outer_marks_) + bytes(reach_) + bytes(sums_);
   for (const auto* group : {&chunks_, &borders_, &scratch_})
     for (const Chunk& chunk : *group)
       sum += bytes(chunk.pairs) + bytes(chunk.bodies) + bytes(chunk.shifts) + bytes(chunk.springs);

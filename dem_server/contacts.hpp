@@ -1,7 +1,7 @@
 // Contacts between grains: pairs of pebbles of different bodies, their springs, and the forces they put on the bodies.
 //
-//   cells ----> outer list (skin 6 s) ----> inner list (skin s) ----> forces, once a step
-//        rare                     cheap, in order        every entry owns its spring; about 9 of 10 entries touch
+//   cells ----> outer list (skin 6 s) ----> inner list (skin up to s) ----> forces, once a step
+//        rare                     cheap, in order              every entry owns its spring; most entries touch
 //
 // Both lists are half lists sorted by pebble pair (i, j), and the forces are added in that order: bits do not depend on
 // the skin, nor on when a list was renewed. Springs are carried from list to list by merging the two sorted lists.
@@ -14,12 +14,15 @@
 // entry in its `border`, before its own chunks, which keeps the order of the list for each body. So nothing is shared
 // while forces are summed, and any number of threads gives the same bits.
 //
-// WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is
-// not in the inner list has a gap of at least s, so h = s/2 is safe for both. A pebble that has used up s/2 while all
-// others have hardly moved, a rattler flying in its cage, would renew the list again and again; such a pebble gets all
-// its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. When it has used that up,
-// it alone is listed anew in the outer list. Displacements are exact travel, not sums of speeds. The skin follows the motion: lists that do not last get a wider one, lists that last
-// for long a tighter one; only counts of steps decide, so that a run repeats itself.
+// WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is not in
+// the inner list has a gap of at least h_i + h_j, so both may go so far. What a pebble used of its last limit tells what it
+// needs next: beside a pile grains move a hundred times as fast as farther off, and one limit for all would fill the list
+// with pairs that do not touch (2.4 entries a contact instead of 1.4). Half the skin is the widest limit. A pebble that has
+// used that up while all others have hardly moved, a rattler flying in its cage, would renew the list again and again; such
+// a pebble gets all its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. When it
+// has used that up, it alone is listed anew in the outer list. Displacements are exact travel, not sums of speeds. The skin
+// follows the motion: lists that do not last get a wider one, lists that last for long a tighter one; only counts of steps
+// decide, so that a run repeats itself.
 //
 // Rejected: one record per contact gathered by body (1.7 times slower), a list walked twice (both bodies; same),
 // structure-of-arrays (no faster for pairs).
@@ -192,8 +195,8 @@ class PairContacts {
   LargeArray<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made, or when it was listed anew
   std::vector<std::int32_t> relisted_;    // the pebbles that were, since
   LargeArray<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
-  std::vector<char> is_fast_;             // per pebble, at the last renewal
-  double outer_growth_ = 0, growth_ = 0;  // Particles::growth() then [m]
+  std::vector<double> reach_;  // per pebble: radius and limit; far for one that gets all its outer partners [m]
+  double outer_growth_ = 0, growth_ = 0;       // Particles::growth() then [m]
   double outer_strain_ = 0, strain_mark_ = 0;  // strained_ then
   Vec3 strain_rate_ = Vec3::Zero();            // in the step that led to t_n [1/s]
   double strained_ = 0;                        // sum of the cell's largest strain increments, whatever their sign

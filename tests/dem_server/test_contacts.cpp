@@ -778,3 +778,50 @@ TEST_CASE("few grains that fly far are listed anew alone, and no contact of thei
     CHECK(contacts.rebuilds() <= 3);  // the skin widens by more than twice
   }
 }
+
+TEST_CASE("grains at rest have tight limits, and no contact is missed when they begin to move") {
+  // 1,000 spheres on a lattice, 0.4 skins apart, and one that circles above them and asks for new lists. The limits of the
+  // others fall to a tenth of half the skin: at a gap of 0.4 skins they are not listed. Then all shake along ways of their
+  // own, by up to 0.45 skins from their places: neighbours come to touch and part, and all pairs are searched for the truth.
+  const double r = 0.02, skin = 0.0006, pitch = 2 * r + 0.4 * skin;
+  Particles p;
+  const ClumpTemplate sphere = make_clump(1, 1);
+  const auto place = [&](int k) -> Vec3 { return pitch * Vec3(k % 10, k / 10 % 10, k / 100); };
+  const auto add = [&](const Vec3& at) { p.add(sphere, r, 2650, at, Quat::Identity()); };
+  for (int k = 0; k < 1000; ++k) add(place(k));
+  add({0, 0, 30 * r});
+  PairContacts contacts(skin);
+  GrainMaterial material;
+  double steadiest = 1e300;
+  for (int n = 0; n < 6000; ++n) {
+    p.position(1000) = Vec3(20 * skin * std::cos(n / 1000.0), 20 * skin * std::sin(n / 1000.0), 30 * r);
+    contacts.update(p);
+    steadiest = std::min(steadiest, contacts.limits().marks[500].radius);
+  }
+  const std::int64_t lists_at_rest = contacts.refreshes();
+  std::int64_t touches = 0;
+  int wrong = 0;
+  double widest = 0;
+  for (int n = 0; n <= 300; ++n) {
+    const double beat = std::sin(n / 20.0);
+    for (int k = 0; k < 1000; ++k)
+      p.position(static_cast<std::size_t>(k)) =
+          place(k) + 0.45 * skin * beat * Vec3(std::sin(3.0 * k), std::cos(5.0 * k), std::sin(7.0 * k));
+    contacts.update(p);
+    widest = std::max(widest, contacts.limits().marks[500].radius);
+    p.clear_forces();
+    const std::int64_t found = contacts.compute(p, material, 1e-5).active;
+    std::int64_t truth = 0;
+    for (std::size_t i = 0; i < 1000; ++i)
+      for (std::size_t j = i + 1; j < std::min<std::size_t>(1000, i + 112); ++j)  // to the diagonal neighbour above
+        truth += (std::as_const(p).position(j) - std::as_const(p).position(i)).norm() < 2 * r;
+    wrong += found != truth;
+    touches += truth;
+  }
+  CAPTURE(lists_at_rest, steadiest / skin, widest / skin, contacts.refreshes(), touches);
+  CHECK(lists_at_rest > 40);
+  CHECK(steadiest < 0.06 * skin);
+  CHECK(widest > 0.3 * skin);
+  CHECK(touches > 10000);
+  CHECK(wrong == 0);
+}
