@@ -84,9 +84,14 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
   LoadRecord scrap{};
   const Lanes zero{}, one = lanes(1), half = lanes(0.5), least = lanes(least_square),
                       half_step = lanes(0.5 * law.time_step);
+  // By arithmetic: a branch would be foretold wrongly once or so in a tile at a border.
+  const auto bodies = static_cast<std::uint32_t>(state.end_body - state.first_body);
+  const std::ptrdiff_t to_scrap = reinterpret_cast<char*>(&scrap) - reinterpret_cast<char*>(state.loads);
   const auto target = [&](std::int32_t body) -> LoadRecord* {
     if constexpr (!is_bounded) return &state.loads[body];
-    return body >= state.first_body && body < state.end_body ? &state.loads[body] : &scrap;
+    const std::ptrdiff_t is_outside = static_cast<std::uint32_t>(body - state.first_body) < bodies ? 0 : -1;
+    const auto place = static_cast<std::ptrdiff_t>(sizeof(LoadRecord)) * body;
+    return reinterpret_cast<LoadRecord*>(reinterpret_cast<char*>(state.loads) + (place ^ ((place ^ to_scrap) & is_outside)));
   };
   Geometry next = geometry<is_periodic>(state, stretch, 0, 0);
   for (std::size_t tile = 0; tile < stretch.tiles; ++tile) {
