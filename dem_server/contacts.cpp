@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cmath>
 #include <iterator>
+#include <limits>
 #include <utility>
 
 #include "common/checks.hpp"
@@ -74,6 +75,9 @@ namespace {
 // Growth of the radii that renews the inner list, over its skin.
 constexpr double growth_share = 0.25;
 
+// Ways are counted a bit longer than they are: their sums are rounded.
+constexpr double way_margin = 1 + 1e-6;
+
 Vec3 spring_of(const std::vector<SpringTile>& springs, std::size_t k) {
   const SpringTile& tile = springs[k / tile_size];
   return {tile.x[k % tile_size], tile.y[k % tile_size], tile.z[k % tile_size]};
@@ -113,12 +117,12 @@ TravelLimits PairContacts::limits() const {
   return {static_cast<std::uint64_t>(refreshes_), marks_.data(), growth_share * skin_};
 }
 
-void PairContacts::update(const Particles& particles, Team& team) {
+void PairContacts::update(const Particles& particles, Team& team, std::span<const double> ways) {
   LOCKSTEP_ASSERT(!has_lists_ || marks_.size() == particles.pebble_count(),
                   "pebbles were added or removed without clear_history");
   const bool is_shared_out = partition_.size() == parts_for(team);
   ++age_;
-  if (has_lists_ && is_shared_out && !has_left(particles, team)) return;
+  if (has_lists_ && is_shared_out && !has_left(particles, team, ways)) return;
   const double ended_skin = skin_;
   if (has_lists_) adapt_skin();
   age_ = 0;
@@ -164,22 +168,37 @@ void PairContacts::strain(Particles& particles, const Vec3& rate, double time_st
 }
 
 // Whether any pebble has gone beyond its limit, or to no finite place.
-bool PairContacts::has_left(const Particles& particles, Team& team) const {
-  const double growth = used_up(particles);
-  if (growth > growth_share * skin_) return true;
+bool PairContacts::has_left(const Particles& particles, Team& team, std::span<const double> ways) {
+  const double used = used_up(particles);
+  if (used > growth_share * skin_) return true;
+  const bool knows_ways = ways.size() == slack_.size() && used == slack_use_ && particles.placements() == placements_;
+  slack_use_ = used;
+  placements_ = particles.placements();
   std::atomic<bool> any = false;
   team.run_parts(partition_.size(), [&](int part) {
     const auto k = static_cast<std::size_t>(part);
-    const SphereRecord* pebbles = particles.pebbles();
-    const auto end = static_cast<std::size_t>(chunk_pebble(particles, part_chunk_[k + 1]));
-    int left = 0;
-    for (auto p = static_cast<std::size_t>(chunk_pebble(particles, part_chunk_[k])); p < end; ++p) {
-      const double limit = marks_[p].radius - growth;
-      left |= (limit < 0) | !(squared_distance(pebbles[p], marks_[p]) <= limit * limit);
+    for (std::size_t c = part_chunk_[k]; c < part_chunk_[k + 1]; ++c) {
+      slack_[c] = knows_ways ? slack_[c] - way_margin * ways[c] : 0.0;
+      if (slack_[c] > 0) continue;
+      slack_[c] = slack(particles, c, used);
+      if (slack_[c] < 0) any.store(true, std::memory_order_relaxed);
     }
-    if (left) any.store(true, std::memory_order_relaxed);
   });
   return any;
+}
+
+// The shortest way that would bring a pebble of the chunk to its limit [m]; negative where one is beyond it or nowhere.
+double PairContacts::slack(const Particles& particles, std::size_t chunk, double used) const {
+  const SphereRecord* pebbles = particles.pebbles();
+  const auto end = static_cast<std::size_t>(chunk_pebble(particles, chunk + 1));
+  double least = std::numeric_limits<double>::infinity();
+  int left = 0;
+  for (auto p = static_cast<std::size_t>(chunk_pebble(particles, chunk)); p < end; ++p) {
+    const double rest = marks_[p].radius - used - std::sqrt(squared_distance(pebbles[p], marks_[p]));
+    left |= !(rest >= 0);
+    least = rest < least ? rest : least;
+  }
+  return left ? -1 : least;
 }
 
 // The inner list takes pairs with gaps up to the skin, and all partners of fast pebbles: none of them may be missing from
@@ -332,6 +351,7 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
   });
   growth_ = particles.growth();
   strain_mark_ = strained_;
+  slack_.assign(chunk_count(particles), 0);
 
   chunks_.resize(chunk_count(particles));
   sums_.resize(chunks_.size());

@@ -68,8 +68,10 @@ class PairContacts {
                         InstructionSet instructions = best_instructions());
 
   // Renews the lists if the grains have moved too far. Call it once a step, before anything is computed, with pebble
-  // centres placed. NumericalError when a position is not finite.
-  void update(const Particles& particles, Team& team = Team::alone());
+  // centres placed. `ways`, per chunk of chunk_bodies, is how far pebbles have gone at most since the last call
+  // (MotionTotals), by motion alone: chunks that cannot have come to a limit are not looked at. Without it all are.
+  // NumericalError when a position is not finite.
+  void update(const Particles& particles, Team& team = Team::alone(), std::span<const double> ways = {});
 
   // Contact forces at t_n, added to the loads of `particles`. `time_step` is the step that led to t_n [s].
   ContactTotals compute(Particles& particles, const GrainMaterial& material, double time_step,
@@ -162,7 +164,8 @@ class PairContacts {
   }
   double used_up(const Particles& particles) const;  // of each pebble's limit by growth and strain, inner list [m]
   double outer_used_up(const Particles& particles) const;  // [m]
-  bool has_left(const Particles& particles, Team& team) const;
+  bool has_left(const Particles& particles, Team& team, std::span<const double> ways);
+  double slack(const Particles& particles, std::size_t chunk, double used) const;
   void renew_outer(const Particles& particles, double ended_skin, Team& team);
   void list_anew(const Particles& particles, const std::vector<std::int32_t>& strays);
   void adapt_skin();
@@ -195,6 +198,9 @@ class PairContacts {
   LargeArray<SphereRecord> outer_marks_;  // per pebble: centre when the outer list was made, or when it was listed anew
   std::vector<std::int32_t> relisted_;    // the pebbles that were, since
   LargeArray<SphereRecord> marks_;        // per pebble: centre at the last renewal, and its limit
+  std::vector<double> slack_;             // per chunk: no pebble goes beyond its limit within this way from here [m]
+  double slack_use_ = 0;                  // used_up() when it was found [m]
+  std::uint64_t placements_ = 0;          // of the pebbles then
   std::vector<double> reach_;  // per pebble: radius and limit; far for one that gets all its outer partners [m]
   double outer_growth_ = 0, growth_ = 0;       // Particles::growth() then [m]
   double outer_strain_ = 0, strain_mark_ = 0;  // strained_ then

@@ -28,7 +28,7 @@ void interface_contacts(Model& m) {
 
 void renew_lists(Model& m) {
   const auto timing = m.profile.measure(Phase::Lists);
-  m.contacts.update(m.particles, *m.team);
+  m.contacts.update(m.particles, *m.team, m.motion.ways);
 }
 
 void pair_contacts(Model& m) {

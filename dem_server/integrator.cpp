@@ -24,7 +24,9 @@ void add(const double* part, Vec3& sum) { sum += Vec3(part[0], part[1], part[2])
 MotionTotals added_up(const std::vector<MotionSums>& chunks) {
   MotionTotals totals;
   double square = 0;
+  totals.ways.reserve(chunks.size());
   for (const MotionSums& sums : chunks) {
+    totals.ways.push_back(std::sqrt(sums.way_square));
     totals.translation_energy += sums.translation_energy;
     totals.rotation_energy += sums.rotation_energy;
     totals.gravity_work += sums.gravity_work;

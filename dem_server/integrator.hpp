@@ -53,6 +53,7 @@ struct MotionTotals {
   double moving_mass = 0;               // of the bodies that are not fixed [kg]
   // These are always there, the others from Detail::Works on.
   double largest_speed = 0;  // [m/s]
+  std::vector<double> ways;  // per chunk of chunk_bodies: no pebble has gone farther in this step [m]
   bool is_too_fast =
       false;  // a body crosses MotionOptions::fastest_travel of its radius in this step, or goes nowhere finite
 };

@@ -13,6 +13,7 @@ constexpr double largest_square = 1e300;  // [rad2/s2]: more is no number
 struct Sums {
   Sum8 translation, rotation, gravity_work, damped_work, contact_work, unbalanced, mass, square;
   Sum8 damping_force[3], momentum[3], momentum_change[3];
+  Row way_squares{};  // of clumps' pebbles, the largest of each component
 };
 
 LOCKSTEP_INLINE void add(Sum8* sums, int begin, const Lanes3& v) {
@@ -85,9 +86,9 @@ LOCKSTEP_INLINE Lanes4 turned_freely(const Lanes4& q, Lanes3& p, const Lanes3& m
   return {scale * r.x, scale * r.y, scale * r.z, scale * r.w};
 }
 
-// Pebbles of the bodies at `index`, from their centres and the images of their axes.
+// Pebbles of `count` bodies, from their centres and the images of their axes.
 LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, int count, const Row* centers,
-                                   const Rotation& rotation) {
+                                   const Rotation& rotation, Row& way_squares) {
   Row x[width], y[width], z[width];
   transpose({rotation.x.x, rotation.x.y, rotation.x.z, Lanes{}}, x);
   transpose({rotation.y.x, rotation.y.y, rotation.y.z, Lanes{}}, y);
@@ -96,8 +97,12 @@ LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, i
   for (int l = 0; l < count; ++l)
     for (std::int32_t p = s.pebble_begin[first + l]; p < s.pebble_begin[first + l + 1]; ++p) {
       const SphereRecord& o = s.offsets[p];
-      *reinterpret_cast<Row*>(&s.pebbles[p].x) =
+      Row& pebble = *reinterpret_cast<Row*>(&s.pebbles[p].x);
+      const Row placed =
           place * centers[l] + size * row(&o.x) + spread(o.x) * x[l] + spread(o.y) * y[l] + spread(o.z) * z[l];
+      const Row way = placed - pebble, squares = way * way;
+      way_squares = squares > way_squares ? squares : way_squares;
+      pebble = placed;
     }
 }
 
@@ -221,7 +226,7 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
 
   transpose({position.x, position.y, position.z, place.w}, rows);
   for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.bodies[first + l].x) = rows[l];
-  if constexpr (has_clumps) place_pebbles(s, first, count, rows, rotation);
+  if constexpr (has_clumps) place_pebbles(s, first, count, rows, rotation, sum.way_squares);
   Row spin_rows[width];
   transpose({after.x, after.y, after.z, v.w}, rows);
   transpose({next_spin.x, next_spin.y, next_spin.z, w.w}, spin_rows);
@@ -246,6 +251,8 @@ void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
   if (first < s.end) move<has_clumps, detail, false>(s, step, first, s.end - first, begin, sum, too_fast);
   sums.too_fast = any(too_fast) ? 1 : 0;
   sums.largest_square = sum.square.largest();
+  sums.way_square = has_clumps ? sum.way_squares[0] + sum.way_squares[1] + sum.way_squares[2]
+                               : step.next_step * step.next_step * sums.largest_square;
   if constexpr (!has_works) return;
   sums.translation_energy = sum.translation.total();
   sums.rotation_energy = sum.rotation.total();

@@ -30,6 +30,7 @@ struct MotionStep {
 struct MotionSums {
   double too_fast = 0;        // 1 if any body is
   double largest_square = 0;  // of the speeds [m2/s2]
+  double way_square = 0;      // at least as much as any pebble's way in this step, squared [m2]
   // From Detail::Works on.
   double translation_energy = 0, rotation_energy = 0;
   double gravity_work = 0, damped_work = 0, contact_work = 0;

@@ -91,7 +91,8 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
     if constexpr (!is_bounded) return &state.loads[body];
     const std::ptrdiff_t is_outside = static_cast<std::uint32_t>(body - state.first_body) < bodies ? 0 : -1;
     const auto place = static_cast<std::ptrdiff_t>(sizeof(LoadRecord)) * body;
-    return reinterpret_cast<LoadRecord*>(reinterpret_cast<char*>(state.loads) + (place ^ ((place ^ to_scrap) & is_outside)));
+    return reinterpret_cast<LoadRecord*>(reinterpret_cast<char*>(state.loads) +
+                                         (place ^ ((place ^ to_scrap) & is_outside)));
   };
   Geometry next = geometry<is_periodic>(state, stretch, 0, 0);
   for (std::size_t tile = 0; tile < stretch.tiles; ++tile) {

@@ -95,6 +95,7 @@ std::int32_t Particles::add(const ClumpTemplate& shape, double radius, double de
 }
 
 void Particles::place_pebbles(std::size_t b) {
+  ++placements_;
   if (!has_clumps()) return;
   const Mat3 rotation = orientation(b).toRotationMatrix();
   const Vec3 center = std::as_const(*this).position(b);

@@ -90,6 +90,8 @@ class Particles {
   void scale_all(double factor);
   // Sum of what scale_all has added to the largest pebble's radius: lists must allow for it [m].
   double growth() const { return growth_; }
+  // Counts the calls that put pebbles of clumps to places that no motion led to.
+  std::uint64_t placements() const { return placements_; }
   // Pebble centres from the body's pose; needed after positions or orientations were set from outside.
   void place_pebbles(std::size_t b);
   void place_pebbles();
@@ -150,6 +152,7 @@ class Particles {
   LargeArray<SphereRecord> offsets_;  // from the centre of mass, body frame, and the pebble's radius
   std::vector<std::int32_t> pebble_body_;
   double growth_ = 0;  // [m]
+  std::uint64_t placements_ = 0;
 };
 
 }  // namespace lockstep::dem

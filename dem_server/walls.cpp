@@ -721,7 +721,9 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
     const double allowance = velocity_ != 0 ? wall_allowance * particles.mean_radius() : 0.0;
     candidates_.renew(particles, limits, allowance, team, partition,
                       [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>&) {
-                        return closest(x).distance < reach;
+                        const double beside = shape_.radius + reach;  // nearly all pebbles are farther off
+                        return x.z() > tip_z_ - reach && x.head<2>().squaredNorm() < beside * beside &&
+                               closest(x).distance < reach;
                       });
   }
   std::swap(contacts_, previous_);

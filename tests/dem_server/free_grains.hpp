@@ -16,6 +16,7 @@ struct FreeGrains {
   GrainMaterial material;
   Vec3 gravity = Vec3::Zero();
   double damping = 0;
+  bool tells_ways = false;  // to the lists; nothing but steps may move the grains then
   ContactTotals totals;
   MotionTotals motion;
   double slip_work = 0, dashpot_work = 0, damped_work = 0;  // since the start [J]
@@ -26,7 +27,7 @@ struct FreeGrains {
 
   void step(double dt) {
     particles.clear_forces();
-    contacts.update(particles);
+    contacts.update(particles, Team::alone(), tells_ways ? motion.ways : std::vector<double>{});
     totals = contacts.compute(particles, material, dt);
     motion = integrate(particles, gravity, dt, dt, damping);
     slip_work += totals.slip_work;

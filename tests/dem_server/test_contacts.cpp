@@ -4,6 +4,7 @@
 
 #include "common/checks.hpp"
 #include "common/random.hpp"
+#include "dem_server/constants.hpp"
 #include "dem_server/measure.hpp"
 #include "tests/dem_server/free_grains.hpp"
 
@@ -824,4 +825,35 @@ TEST_CASE("grains at rest have tight limits, and no contact is missed when they 
   CHECK(widest > 0.3 * skin);
   CHECK(touches > 10000);
   CHECK(wrong == 0);
+}
+
+TEST_CASE("lists that know the ways of the pebbles are renewed at the same steps as lists that look at all of them") {
+  // Ways are bounds: of spheres they are exact, of clumps' pebbles the largest components of three pebbles may come together,
+  // sqrt(3) too long at most.
+  for (const int pebbles : {1, 3}) {
+    FreeGrains looking = cloud(pebbles, 0.002), told = cloud(pebbles, 0.002);
+    told.tells_ways = true;
+    double shortest = 1e300, longest = 0;  // of a chunk's bound over the farthest way in it
+    for (int k = 0; k < 400; ++k) {
+      looking.step(3e-5);
+      std::vector<SphereRecord> before(told.particles.pebbles(),
+                                       told.particles.pebbles() + told.particles.pebble_count());
+      told.step(3e-5);
+      CHECK(told.contacts.refreshes() == looking.contacts.refreshes());
+      std::vector<double> farthest(told.motion.ways.size());
+      for (std::size_t p = 0; p < before.size(); ++p) {
+        double& way = farthest[static_cast<std::size_t>(told.particles.pebble_body(p)) / chunk_bodies];
+        way = std::max(way, (told.particles.pebble_center(p) - Vec3(before[p].x, before[p].y, before[p].z)).norm());
+      }
+      for (std::size_t c = 0; c < farthest.size(); ++c) {
+        shortest = std::min(shortest, told.motion.ways[c] / farthest[c]);
+        longest = std::max(longest, told.motion.ways[c] / farthest[c]);
+      }
+    }
+    CAPTURE(pebbles, shortest - 1, longest, told.contacts.refreshes(), told.motion.ways.size());
+    CHECK(told.contacts.refreshes() > 10);
+    CHECK(shortest > 1 - 1e-9);
+    CHECK(longest < (pebbles == 1 ? 1 + 1e-9 : std::sqrt(3.0)));
+    CHECK(told.state_hash() == looking.state_hash());
+  }
 }
