@@ -7,7 +7,6 @@ namespace lockstep::dem {
 
 namespace {
 
-constexpr std::int32_t bodies_ahead = 16;
 constexpr double largest_square = 1e300;  // [rad2/s2]: more is no number
 
 struct Sums {
@@ -103,24 +102,6 @@ LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, i
       const Row way = placed - pebble, squares = way * way;
       way_squares = squares > way_squares ? squares : way_squares;
       pebble = placed;
-    }
-}
-
-// Of bodies `bodies_ahead` further on: eight streams are more than the hardware follows.
-template <bool has_clumps>
-LOCKSTEP_INLINE void fetch_ahead(const MotionStretch& s, std::int32_t first) {
-  const std::int32_t from = first + bodies_ahead;
-  if (from + width > s.end) return;
-  for (int l = 0; l < width; ++l) {
-    __builtin_prefetch(&s.motion[from + l], 1);
-    __builtin_prefetch(&s.loads[from + l], 1);
-    if (has_clumps) __builtin_prefetch(&s.attitudes[from + l], 1);
-  }
-  for (int l = 0; l < width; l += 2) __builtin_prefetch(&s.bodies[from + l], 1);
-  if constexpr (has_clumps)
-    for (std::int32_t p = s.pebble_begin[from]; p < s.pebble_begin[from + width]; p += 2) {
-      __builtin_prefetch(&s.pebbles[p], 1);
-      __builtin_prefetch(&s.offsets[p]);
     }
 }
 
@@ -244,10 +225,8 @@ void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
   Mask too_fast{};
   std::int32_t first = s.begin;
   int begin = 0;
-  for (; first + width <= s.end; first += width, begin = (begin + width) % block) {
-    fetch_ahead<has_clumps>(s, first);
+  for (; first + width <= s.end; first += width, begin = (begin + width) % block)
     move<has_clumps, detail, true>(s, step, first, width, begin, sum, too_fast);
-  }
   if (first < s.end) move<has_clumps, detail, false>(s, step, first, s.end - first, begin, sum, too_fast);
   sums.too_fast = any(too_fast) ? 1 : 0;
   sums.largest_square = sum.square.largest();
