@@ -93,6 +93,7 @@ LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, i
   transpose({rotation.y.x, rotation.y.y, rotation.y.z, Lanes{}}, y);
   transpose({rotation.z.x, rotation.z.y, rotation.z.z, Lanes{}}, z);
   const Row place = {1, 1, 1, 0}, size = {0, 0, 0, 1};
+  Row most = way_squares;
   for (int l = 0; l < count; ++l)
     for (std::int32_t p = s.pebble_begin[first + l]; p < s.pebble_begin[first + l + 1]; ++p) {
       const SphereRecord& o = s.offsets[p];
@@ -100,9 +101,10 @@ LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, i
       const Row placed =
           place * centers[l] + size * row(&o.x) + spread(o.x) * x[l] + spread(o.y) * y[l] + spread(o.z) * z[l];
       const Row way = placed - pebble, squares = way * way;
-      way_squares = squares > way_squares ? squares : way_squares;
+      most = squares > most ? squares : most;
       pebble = placed;
     }
+  way_squares = most;
 }
 
 // `width` bodies from `first` on, in the lanes that begin at `begin`; fewer, `count`, at the end of a stretch.
