@@ -22,8 +22,8 @@ inline constexpr int long_list_age = 120;
 inline constexpr double skin_range = 3;
 
 // A pebble's limit in the inner list: this many times what it used of the last one, but at least this share of the last one, so
-// that a burst is remembered for ten lists, and this share of half the skin. In the paper's case at S/D = 0.03 these have
-// 1.42 entries a contact and a list in 41 steps; a margin of 2 and a share of 0.02 have 1.24 and one in 20, at the same cost
+// that a burst is remembered for ten lists, and this share of half the skin. In the paper's case up to S/D = 0.06 these have
+// 1.4 entries a contact and a list in 40 steps; a margin of 2 and a share of 0.02 have 1.24 and one in 20, at the same cost
 // of contacts and a higher one of lists.
 inline constexpr double limit_margin = 3;
 inline constexpr double limit_memory = 0.9;
@@ -54,7 +54,7 @@ inline constexpr std::size_t chunk_bodies = 256;
 
 // Parts of the contact list for each thread, where there are several: enough that one may take what another does not get to,
 // and few, since contacts across a border are computed twice. Paper's case to S/D = 0.1 on two threads: 11.7 and 11.9 s of
-// Penetrate with three a thread, 12.3 with two, 12.2 to 12.3 with four, 12.2 with six.
+// Penetrate with three a thread, 12.3 with two, 12.2 to 12.3 with four, 12.2 with six; little more than the scatter.
 inline constexpr int parts_a_thread = 3;
 
 // Pebbles whose radii differ by less than this share one grid of cells.
