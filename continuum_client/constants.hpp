@@ -73,6 +73,9 @@ inline constexpr double hole_tolerance = 1e-3;
 // Positions that agree to this share of the model's size lie in one support plane.
 inline constexpr double plane_tolerance = 1e-9;
 
+// An initial stress beyond the yield surface by less than this share of itself is round-off of the solver that found it.
+inline constexpr double yield_tolerance = 1e-6;
+
 // Newton's iteration for the place of a point in a zone: it doubles its digits with each step, so that after one of this size
 // nothing but round-off is left; a point that leads it so far from the cube -1 .. 1 is in another zone.
 inline constexpr int most_newton_steps = 30;

@@ -17,6 +17,7 @@
 #include "continuum_client/integrator.hpp"
 #include "continuum_client/interface_surface.hpp"
 #include "continuum_client/internal_force.hpp"
+#include "continuum_client/yielding_zones.hpp"
 #include "protocol/session.hpp"
 
 namespace lockstep::continuum {
@@ -49,7 +50,7 @@ class CoupledGround {
   // ------------------------------------------------------------------ the phases of cycle(), in its order
   // Paper step 5: v(n-1/2) of the interface and the step from n to n+1.
   void send_velocities(protocol::Session& peer);
-  // f_int(n) = f0 + K u(n).
+  // f_int(n) = f0 + K u(n), and what zones that yield have beside it.
   void compute_internal_forces();
   // Tractions on the surface at t_n.
   void load_surface();
@@ -82,6 +83,7 @@ class CoupledGround {
   Grid grid;
   InternalForce internal_force;
   std::unique_ptr<IncrementalForce> incremental;  // in its place, where the scene says so
+  std::unique_ptr<YieldingZones> yielding;        // beside it, where materials yield
   Integrator integrator{{}, {}};
   Motion motion;
   Vec3s internal;               // f_int(n) [N]

@@ -24,6 +24,7 @@ void CoupledGround::send_velocities(protocol::Session& peer) {
   outgoing.energies.elastic = ledger.elastic;
   outgoing.energies.gravity_work = ledger.work.gravity;
   outgoing.energies.damped = ledger.work.damped;
+  outgoing.energies.friction = ledger.work.yielded;
   outgoing.energies.boundary_work = ledger.work.boundary + ledger.work.baseline + ledger.work.step_change;
   outgoing.energies.interface_work = ledger.work.interface;
   peer.send(outgoing);
@@ -36,6 +37,7 @@ void CoupledGround::compute_internal_forces() {
     incremental->advance(motion.displacement, motion.velocity, step_sizes.into, internal, *team);
   else
     internal_force.evaluate(motion.displacement, internal, *team);
+  if (yielding) yielding->advance(motion.displacement, internal, *team);
   if (stiffness_damping == 0) return;
   // u(n) = u(n-1) + v(n-1/2) dt: the difference of two products is the product that damping needs.
   const double share = -stiffness_damping / step_sizes.into;
@@ -84,6 +86,7 @@ void CoupledGround::advance() {
   sums = integrator.advance(motion, internal, internal_force.reference, forces, damping, step_sizes, velocity_limit,
                             *team);
   if (incremental) integrator.set_elastic(incremental->work());
+  if (yielding) integrator.book_yielding(yielding->energy(), yielding->dissipated());
   if (sums.runaway_node >= 0) {
     const Vec3& x = grid.node[sums.runaway_node];
     throw NumericalError(
@@ -99,8 +102,10 @@ void CoupledGround::advance() {
 
 Mat3 CoupledGround::zone_stress(const InitialState& initial, std::size_t z) const {
   if (incremental) return incremental->zone_stress(z);
-  return initial.zone_stress(grid, z) +
-         continuum::zone_stress(grid.geometry(z), grid.moduli(z), gather(motion.displacement, grid.zone[z]));
+  const Mat3 elastic =
+      initial.zone_stress(grid, z) +
+      continuum::zone_stress(grid.geometry(z), grid.moduli(z), gather(motion.displacement, grid.zone[z]));
+  return yielding ? Mat3(elastic + yielding->plastic_stress(z)) : elastic;
 }
 
 Mat3 CoupledGround::zone_strain(std::size_t z) const {

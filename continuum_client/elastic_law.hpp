@@ -1,8 +1,10 @@
 // Isotropic linear elasticity, split into volume and shape as mixed discretization needs it. Tension positive.
 #pragma once
 #include <cmath>
+#include <optional>
 
 #include "common/vectors.hpp"
+#include "continuum_client/yield_law.hpp"
 
 namespace lockstep::continuum {
 
@@ -16,7 +18,8 @@ struct ElasticModuli {
 
 struct Material {
   ElasticModuli moduli;
-  double density = 0;  // [kg/m3]
+  double density = 0;                    // [kg/m3]
+  std::optional<MohrCoulomb> yield_law = {};  // without: elastic whatever the stress
 };
 
 // G = E / (2 (1 + nu)), K = E / (3 (1 - 2 nu)). The paper's Table 2 lists the two with their names swapped.

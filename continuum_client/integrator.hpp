@@ -43,6 +43,7 @@ struct Work {
   double interface = 0;    // of the grains' contact forces
   double baseline = 0;     // of what is left of the deleted zones' reaction, an external load while it fades out
   double damped = 0;       // taken out by local damping
+  double yielded = 0;      // taken out by zones that yield
   double step_change = 0;  // by changing the time step, see the head of this file
 };
 
@@ -56,7 +57,7 @@ struct Ledger {
   // the reference state [J].
   double residual() const {
     return kinetic + elastic - start - work.gravity - work.boundary - work.interface - work.baseline -
-           work.step_change + work.damped;
+           work.step_change + work.damped + work.yielded;
   }
 };
 
@@ -109,6 +110,12 @@ class Integrator {
   const Ledger& ledger() const { return ledger_; }
   // Elastic energy at n where u . (f0 + K u / 2) is not it [J].
   void set_elastic(double energy) { ledger_.elastic = energy; }
+  // Of zones that yield (yielding_zones.hpp), at n: what the elastic energy has beside u . (f0 + f_int) / 2, and what they
+  // have dissipated [J].
+  void book_yielding(double energy, double dissipated) {
+    ledger_.elastic += energy;
+    ledger_.work.yielded = dissipated;
+  }
   // Starts the ledger anew, at a motion from the reference state where no force acts yet.
   void start_ledger(const Motion& motion);
 

@@ -23,7 +23,7 @@ ResultFiles::ResultFiles(const std::filesystem::path& folder, const Settings& se
       folder_ / "continuum_history.csv",
       std::vector<std::string>{"step [-]", "time [s]", "time step [s]", "unbalanced ratio [-]", "kinetic [J]",
                                "elastic [J]", "gravity work [J]", "boundary work [J]", "interface work [J]",
-                               "baseline work [J]", "damped [J]", "ledger residual [J]",
+                               "baseline work [J]", "damped [J]", "yielded [J]", "ledger residual [J]",
                                "interface force on ground z [N]", "baseline force z [N]", "largest displacement [m]"});
   series_ = std::make_unique<Series>(folder_ / "zones.pvd");
 }
@@ -46,7 +46,7 @@ void ResultFiles::add_history(const CoupledGround& g, const InitialState& initia
   for (const Vec3& f : g.baseline.force) baseline += f.z();
   for (const Vec3& u : g.motion.displacement) largest = std::max(largest, u.norm());
   history_->add({static_cast<double>(g.step), g.time, g.step_sizes.out_of, g.sums.unbalanced_ratio(), l.kinetic,
-                 l.elastic, l.work.gravity, l.work.boundary, l.work.interface, l.work.baseline, l.work.damped,
+                 l.elastic, l.work.gravity, l.work.boundary, l.work.interface, l.work.baseline, l.work.damped, l.work.yielded,
                  l.residual(), force, baseline, largest});
   if (observers_) observers_->add_rows(g, initial);
 }
@@ -169,8 +169,11 @@ void ResultFiles::write_summary(const RunReport& r, const std::string& title) {
                          .add("baseline_work_J", l.work.baseline)
                          .add("step_change_J", l.work.step_change)
                          .add("damped_J", l.work.damped)
+                         .add("yielded_J", l.work.yielded)
                          .add("residual_J", l.residual())
                          .add("residual_fraction", r.ledger_residual_fraction));
+  if (r.zones_yielded)
+    json.add("yielding", Json().add("zones_ever", *r.zones_yielded).add("zones_in_the_last_step", r.zones_yielding));
   if (r.coupled) json.add("coupled", r.coupled->summary());
   json.add("interface_settlement_m", r.settlement)
       .add("largest_displacement_m", r.largest_displacement)

@@ -95,19 +95,38 @@ ZoneKind to_zone_kind(scene::Continuum::ZoneKind kind) {
   throw InternalError("unknown kind of zones");
 }
 
+std::optional<MohrCoulomb> yield_law(const scene::MohrCoulomb& m, const std::string& key, const SceneFile& file) {
+  if (!(m.friction_angle() > 0 || m.cohesion() > 0))
+    throw InputError(fmt::format("{}: friction_angle and cohesion are both 0, so the ground would bear no shear at all; "
+                                 "give one of them",
+                                 file.where(key)));
+  if (m.dilation_angle() > m.friction_angle())
+    throw InputError(fmt::format("{}: dilation_angle {} degrees is above friction_angle {}: yielding would give energy "
+                                 "instead of taking it; give a smaller one",
+                                 file.where(key + ".dilation_angle"), m.dilation_angle(), m.friction_angle()));
+  return mohr_coulomb(m.friction_angle() * pi / 180, m.dilation_angle() * pi / 180, m.cohesion());
+}
+
+std::optional<MohrCoulomb> yield_law(const scene::Continuum& c, const SceneFile& file) {
+  if (!c.has_mohr_coulomb()) return {};
+  return yield_law(c.mohr_coulomb(), "continuum.mohr_coulomb", file);
+}
+
 // What a layer or a region says, and the ground's own for the rest.
 template <class Part>
-Material material_of(const Part& part, const scene::Continuum& c) {
+Material material_of(const Part& part, const std::string& key, const scene::Continuum& c, const SceneFile& file) {
   return {elastic_moduli(part.has_youngs_modulus() ? part.youngs_modulus() : c.youngs_modulus(),
                          part.has_poisson_ratio() ? part.poisson_ratio() : c.poisson_ratio()),
-          part.has_density() ? part.density() : c.density()};
+          part.has_density() ? part.density() : c.density(),
+          part.has_mohr_coulomb() ? yield_law(part.mohr_coulomb(), key + ".mohr_coulomb", file) : yield_law(c, file)};
 }
 
 void read_regions(const scene::Continuum& c, const SceneFile& file, Settings& r) {
   auto& mesh = std::get<FileMeshSettings>(r.mesh);
-  for (const scene::Region& region : c.mesh_file().region()) {
+  for (int i = 0; i < c.mesh_file().region_size(); ++i) {
+    const scene::Region& region = c.mesh_file().region(i);
     mesh.regions.push_back({region.name(), static_cast<std::int32_t>(r.materials.size())});
-    r.materials.push_back(material_of(region, c));
+    r.materials.push_back(material_of(region, fmt::format("continuum.mesh_file.region[{}]", i), c, file));
   }
   if (mesh.regions.empty()) return;
   if (c.layer_size() > 0)
@@ -128,7 +147,7 @@ void read_layers(const scene::Continuum& c, const SceneFile& file, Settings& r) 
     const std::string where = file.where(fmt::format("continuum.layer[{}].top", i));
     const std::string name = l.name().empty() ? fmt::format("layer {}", i + 1) : l.name();
     r.layers.push_back({l.top(), static_cast<std::int32_t>(r.materials.size()), where + ": " + name});
-    r.materials.push_back(material_of(l, c));
+    r.materials.push_back(material_of(l, fmt::format("continuum.layer[{}]", i), c, file));
   }
   std::stable_sort(r.layers.begin(), r.layers.end(), [](const Layer& a, const Layer& b) { return a.top > b.top; });
   for (std::size_t i = 1; i < r.layers.size(); ++i)
@@ -214,6 +233,10 @@ double Settings::largest_damping() const {
   return apply_max_steps > 0 ? std::max(apply_damping, run_damping) : run_damping;
 }
 
+bool Settings::may_yield() const {
+  return std::any_of(materials.begin(), materials.end(), [](const Material& m) { return m.yield_law.has_value(); });
+}
+
 Settings read_settings(const SceneFile& file) {
   const scene::Scene& s = file.scene;
   if (!s.has_continuum())
@@ -241,7 +264,7 @@ Settings read_settings(const SceneFile& file) {
                       file.where("continuum")));
   }
   r.zone_kind = to_zone_kind(c.zone_kind());
-  r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density()}};
+  r.materials = {{elastic_moduli(c.youngs_modulus(), c.poisson_ratio()), c.density(), yield_law(c, file)}};
   r.is_incremental = c.route() == scene::Continuum::INCREMENTAL;
   r.has_large_strain = c.large_strain();
   if (r.has_large_strain && !r.is_incremental)
@@ -251,6 +274,10 @@ Settings read_settings(const SceneFile& file) {
                     file.where("continuum.large_strain")));
   read_layers(c, file, r);
   if (c.has_mesh_file()) read_regions(c, file, r);
+  if (r.is_incremental && r.may_yield())
+    throw InputError(
+        fmt::format("{}: mohr_coulomb goes with route: ASSEMBLED; stored stresses know the elastic law only",
+                    file.where("continuum.route")));
   if (c.has_initial_stress()) r.k0 = c.initial_stress().k0();
   if (c.has_rayleigh()) {
     const double omega = 2 * pi * c.rayleigh().frequency();

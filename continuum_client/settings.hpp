@@ -142,6 +142,7 @@ struct Settings {
   bool writes_zones = true;
   ResultSettings results;
 
+  bool may_yield() const;  // any of the materials
   // The larger of the dampings that the coupled stages use: the step is held for it.
   double largest_damping() const;
 };

@@ -373,6 +373,10 @@ class Stages {
           std::make_unique<IncrementalForce>(ground_.grid, is_left_, initial_, settings_.has_large_strain);
     if (ground_.incremental && files_.is_active() && settings_.results.needs_strain())
       ground_.incremental->keep_strain();
+    if (settings_.may_yield()) {
+      check_initial_yield(ground_.grid, is_left_, initial_);
+      ground_.yielding = std::make_unique<YieldingZones>(ground_.grid, is_left_, initial_);
+    }
     ground_.loads = settings_.loads;
     for (const SurfaceLoad& load : settings_.loads)
       ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
@@ -534,7 +538,8 @@ class Stages {
     const CoupledGround& g = ground_;
     good_states_.keep(
         g.step, g.time,
-        {g.motion, g.interface.position, g.incremental ? std::make_unique<IncrementalForce>(*g.incremental) : nullptr});
+        {g.motion, g.interface.position, g.incremental ? std::make_unique<IncrementalForce>(*g.incremental) : nullptr,
+         g.yielding ? std::make_unique<YieldingZones>(*g.yielding) : nullptr});
   }
 
   // The newest state that the failure had not reached yet, if there is one.
@@ -546,6 +551,7 @@ class Stages {
     g.step = good->step, g.time = good->time;
     g.motion = good->state.motion, g.interface.position = good->state.position;
     if (good->state.incremental) g.incremental = std::move(good->state.incremental);
+    if (good->state.yielding) g.yielding = std::move(good->state.yielding);
     spdlog::error("failed at step {}; the last files show step {}, the last one known to be sound", failed_at, g.step);
   }
 
@@ -600,11 +606,15 @@ class Stages {
     report_.ledger = ground_.integrator.ledger();
     const Ledger& l = report_.ledger;
     const double turnover = std::abs(l.work.gravity) + std::abs(l.work.boundary) + std::abs(l.work.interface) +
-                            std::abs(l.work.baseline) + std::abs(l.work.damped) + l.kinetic + std::abs(l.elastic);
+                            std::abs(l.work.baseline) + std::abs(l.work.damped) + l.work.yielded + l.kinetic + std::abs(l.elastic);
     report_.ledger_residual_fraction = turnover > 0 ? std::abs(l.residual()) / turnover : 0.0;
     for (const Vec3& u : ground_.motion.displacement)
       report_.largest_displacement = std::max(report_.largest_displacement, u.norm());
     report_.settlement = settlement();
+    if (ground_.yielding) {
+      report_.zones_yielded = ground_.yielding->yielded();
+      report_.zones_yielding = ground_.yielding->yielding();
+    }
     report_.largest_strain_measure = report_.largest_displacement / ground_.interface.mean_facet_size();
     for (std::size_t p = 0; p < Profile<Phase>::size; ++p)
       report_.phase_seconds.push_back(ground_.profile.seconds(static_cast<Phase>(p)));
@@ -641,6 +651,7 @@ class Stages {
     Motion motion;
     Vec3s position;  // of the interface [m]
     std::unique_ptr<IncrementalForce> incremental;
+    std::unique_ptr<YieldingZones> yielding;
   };
   GoodStates<GoodState> good_states_;
   Clock::time_point begin_ = Clock::now(), stage_begin_, last_progress_;

@@ -7,17 +7,9 @@
 #pragma once
 #include <cstdint>
 
-#include "continuum_client/stiffness_kernel.hpp"
+#include "continuum_client/zone_blocks.hpp"
 
 namespace lockstep::continuum {
-
-// Up to eight zones. Corner a of zone l is node[a] + l, as in a column of the mesh, or, where `table` is not negative,
-// tables[table + 8 a + l].
-struct ZoneBlock {
-  std::int32_t node[8];
-  std::int32_t zones = 0;
-  std::int32_t table = -1;
-};
 
 // f += forces of `count` blocks whose nodes stand at x and are displaced by u, node i at f.x[i - f_begin] and so on.
 // `moduli`: per block eight shear, then eight bulk moduli. Eight entries beyond the last node of x and u may be read.

@@ -1,5 +1,4 @@
-// f = reference + K u zone by zone, without an assembled K (zone_kernel.hpp). Zones that stand on each other in a column
-// of the numbering are taken eight at a time without a gather; others are gathered by eights.
+// f = reference + K u zone by zone, without an assembled K (zone_kernel.hpp).
 #pragma once
 #include <cstdint>
 #include <vector>
@@ -8,6 +7,7 @@
 #include "common/parallel.hpp"
 #include "continuum_client/grid.hpp"
 #include "continuum_client/partial_forces.hpp"
+#include "continuum_client/zone_blocks.hpp"
 #include "continuum_client/zone_kernel.hpp"
 
 namespace lockstep::continuum {
@@ -30,19 +30,12 @@ class ZoneProduct {
   std::size_t bytes() const;  // that a product reads besides u
 
  private:
-  struct BlockRange {
-    std::int32_t begin, end;
-  };
-
   StiffnessKernel node_kernel_{};
   ZoneKernel kernel_ = nullptr;
-  std::vector<ZoneBlock> blocks_;
-  std::vector<std::int32_t> tables_;  // nodes of gathered blocks
-  std::vector<double> moduli_;        // per block: eight shear, eight bulk [Pa]
-  std::vector<BlockRange> shares_;    // of blocks, per range of nodes
+  ZoneBlocks blocks_;
+  std::vector<double> moduli_;  // per block: eight shear, eight bulk [Pa]
   PartialForces partial_;
-  std::vector<double> x_;  // reference positions by component [m]
-  std::size_t stride_ = 0;
+  NodeComponents x_;  // reference positions [m]
 };
 
 }  // namespace lockstep::continuum

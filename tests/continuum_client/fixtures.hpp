@@ -63,6 +63,50 @@ inline Vec3s weights(const std::vector<double>& mass, double gravity) {
   return load;
 }
 
+// A quarter of a thick cylinder between the radii a and b around z, one layer of zones held in plane strain, `zones` along the
+// radius (ratio of sizes constant) and around.
+struct QuarterRing {
+  Grid grid;
+  Vec3s is_free, inner_pressure;          // per node; force of a pressure of 1 Pa on the inside [N]
+  std::vector<std::size_t> inner, outer;  // nodes
+};
+
+inline QuarterRing quarter_ring(double a, double b, int zones, const Material& material, ZoneKind kind) {
+  const double thickness = 0.25;
+  QuarterRing ring{brick(b - a, 1, thickness, zones, zones, 1, material, kind), {}, {}, {}, {}};
+  ring.is_free.assign(ring.grid.node_count(), Vec3::Ones());
+  ring.inner_pressure.assign(ring.grid.node_count(), Vec3::Zero());
+  for (int k = 0; k <= 1; ++k)
+    for (int j = 0; j <= zones; ++j)
+      for (int i = 0; i <= zones; ++i) {
+        const auto n = static_cast<std::size_t>((j * (zones + 1) + i) * 2 + k);
+        const double r = a * std::pow(b / a, static_cast<double>(i) / zones), angle = 0.5 * pi * j / zones;
+        ring.grid.node[n].x() = j == zones ? 0 : r * std::cos(angle);
+        ring.grid.node[n].y() = j == 0 ? 0 : r * std::sin(angle);
+        ring.is_free[n].z() = 0;
+        if (j == 0) ring.is_free[n].y() = 0;
+        if (j == zones) ring.is_free[n].x() = 0;
+        if (i == zones) ring.outer.push_back(n);
+        if (i > 0) continue;
+        ring.inner.push_back(n);
+        // On the chords on either side.
+        const double half_angle = 0.25 * pi / zones, chord = 2 * a * std::sin(half_angle);
+        for (int side : {-1, 1})
+          if (j + side >= 0 && j + side <= zones)
+            ring.inner_pressure[n] +=
+                0.25 * chord * thickness *
+                Vec3(std::cos(angle + side * half_angle), std::sin(angle + side * half_angle), 0);
+      }
+  return ring;
+}
+
+// Mean radial displacement of some of its nodes [m].
+inline double mean_radial(const QuarterRing& ring, const std::vector<std::size_t>& nodes, const Vec3s& u) {
+  double sum = 0;
+  for (const std::size_t n : nodes) sum += u[n].head<2>().dot(ring.grid.node[n].head<2>().normalized());
+  return sum / static_cast<double>(nodes.size());
+}
+
 // Without any load or support the ground moves freely.
 struct FreeRun {
   Grid grid;

@@ -65,35 +65,12 @@ double cantilever(ZoneKind kind, int zones_through_depth, double nu) {
 // A quarter of a thick cylinder, a = 1, b = 4, in plane strain under inner pressure: inner displacement over Lame's
 //   u(a) = (1 + nu) p a / E ((1 - 2 nu) a^2 + b^2) / (b^2 - a^2).
 double thick_cylinder(ZoneKind kind, int radial, double nu) {
-  const double a = 1, b = 4, thickness = 0.25, e = 44.3e6;
-  const ElasticModuli moduli = elastic_moduli(e, nu);
-  const int around = radial;
-  Grid grid = brick(b - a, 1, thickness, radial, around, 1, {moduli, test_density}, kind);
-  Vec3s is_free(grid.node_count(), Vec3::Ones()), f(grid.node_count(), Vec3::Zero()), u;
-  for (int k = 0; k <= 1; ++k)
-    for (int j = 0; j <= around; ++j)
-      for (int i = 0; i <= radial; ++i) {
-        const int n = (j * (radial + 1) + i) * 2 + k;
-        const double r = a * std::pow(b / a, static_cast<double>(i) / radial), angle = 0.5 * pi * j / around;
-        grid.node[n].x() = j == around ? 0 : r * std::cos(angle);
-        grid.node[n].y() = j == 0 ? 0 : r * std::sin(angle);
-        is_free[n].z() = 0;
-        if (j == 0) is_free[n].y() = 0;
-        if (j == around) is_free[n].x() = 0;
-        if (i == 0) {
-          // Unit pressure on the chords on either side.
-          const double half_angle = 0.25 * pi / around, chord = 2 * a * std::sin(half_angle);
-          for (int side : {-1, 1})
-            if (j + side >= 0 && j + side <= around)
-              f[n] += 0.25 * chord * thickness *
-                      Vec3(std::cos(angle + side * half_angle), std::sin(angle + side * half_angle), 0);
-        }
-      }
-  solve_static(assemble_stiffness(grid), is_free, f, u, {});
+  const double a = 1, b = 4, e = 44.3e6;
+  const QuarterRing ring = quarter_ring(a, b, radial, {elastic_moduli(e, nu), test_density}, kind);
+  Vec3s u;
+  solve_static(assemble_stiffness(ring.grid), ring.is_free, ring.inner_pressure, u, {});
   const double exact = (1 + nu) * a / e * ((1 - 2 * nu) * a * a + b * b) / (b * b - a * a);
-  double mean = 0;
-  for (int j = 0; j <= around; ++j) mean += u[2 * j * (radial + 1)].head<2>().norm() / (around + 1);
-  return mean / exact;
+  return mean_radial(ring, ring.inner, u) / exact;
 }
 
 }  // namespace
