@@ -1,4 +1,4 @@
-// Internal nodal forces of the elastic ground, f_int = f0 + K u, with K assembled once.
+// Internal nodal forces of elastic ground, f_int = f0 + K u, with K assembled once.
 //
 // Zones are linear and small strain, so what they exert on nodes is a fixed linear map, assembled into 3 x 3 blocks, upper
 // half only. How it is multiplied, and what was rejected: stiffness_product.hpp.

@@ -65,7 +65,7 @@ void ResultFiles::write_zones(const CoupledGround& g, const InitialState& initia
   Vec3s points;
   Field displacement{"displacement [m]", 3, {}}, velocity{"velocity [m/s]", 3, {}};
   Field stress{"stress xx yy zz xy yz zx [Pa]", 6, {}}, change{"vertical stress change since Excavate [Pa]", 1, {}};
-  Field strain{"strain xx yy zz xy yz zx [-]", 6, {}};
+  Field strain{"strain xx yy zz xy yz zx [-]", 6, {}}, plastic{"plastic strain xx yy zz xy yz zx [-]", 6, {}};
   Field unbalanced{"unbalanced force [N]", 3, {}}, reaction{"reaction [N]", 3, {}};
   std::vector<std::array<std::int32_t, 8>> zones;
   for (std::size_t z = 0; z < g.grid.zone_count(); ++z)
@@ -88,6 +88,7 @@ void ResultFiles::write_zones(const CoupledGround& g, const InitialState& initia
     const Mat3 now = g.zone_stress(initial, z);
     append(stress, to_voigt(now));
     if (results_.strain) append(strain, to_voigt(g.zone_strain(z)));
+    if (g.yielding) append(plastic, to_voigt(g.yielding->plastic_strain(z)));
     change.values.push_back(now(2, 2) - initial.zone_stress(g.grid, z)(2, 2));
   }
   const std::string name = fmt::format("zones_{:04d}.vtu", snapshots_);
@@ -95,6 +96,7 @@ void ResultFiles::write_zones(const CoupledGround& g, const InitialState& initia
   if (results_.unbalanced_force) of_points.push_back(std::move(unbalanced));
   if (results_.reactions) of_points.push_back(std::move(reaction));
   if (results_.strain) of_zones.push_back(std::move(strain));
+  if (g.yielding) of_zones.push_back(std::move(plastic));
   write_vtu_hexahedra(folder_ / name, points, zones, of_points, of_zones);
   series_->add(g.time, name);
 }

@@ -100,6 +100,14 @@ Mat3 YieldingZones::plastic_stress(std::size_t z) const {
   return from_voigt(p);
 }
 
+Mat3 YieldingZones::plastic_strain(std::size_t z) const {
+  if (place_[z] < 0) return Mat3::Zero();
+  const auto at = static_cast<std::size_t>(place_[z]);
+  const YieldBlock& b = states_[at / nodes_at_once];
+  const Mat3 p = plastic_stress(z), mean = p.trace() / 3 * Mat3::Identity();
+  return -(p - mean) / (2 * b.shear[at % nodes_at_once]) - mean / (3 * b.bulk[at % nodes_at_once]);
+}
+
 std::int64_t YieldingZones::yielded() const {
   return std::count_if(place_.begin(), place_.end(), [&](const std::int64_t& at) {
     return at >= 0 && !plastic_stress(static_cast<std::size_t>(&at - place_.data())).isZero(0);

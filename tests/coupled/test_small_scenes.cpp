@@ -116,6 +116,24 @@ TEST_CASE("clay over sand, in a mesh from a file, settles by what each gives way
   CHECK(report.bottom_vertical_stress == Approx(vertical).epsilon(0.02));
 }
 
+TEST_CASE("sand that yields between smooth sides settles by what its flow rule says") {
+  // Between the sides total strain is zero: ((1 - nu) K_a - nu) p / E = lambda (1 + s) / 2, s = sin psi, of the flow of the two
+  // planes that meet at equal lateral stresses; axially they give lambda (1 - s) beside the elastic (1 - 2 nu K_a) p / E.
+  const SceneFile scene = read_scene(scenario("yielding_sand"));
+  const continuum::RunReport report = continuum::run_continuum(scene, {}, nullptr, {});
+  const double nu = 0.1, active = 1.0 / 3, s = std::sin(10 * pi / 180), strain = 1e5 / 10e6;
+  const double expected = strain * (1 - 2 * nu * active + 2 * (1 - s) / (1 + s) * ((1 - nu) * active - nu));
+  CAPTURE(report.settlement, expected, report.settlement / expected - 1, report.ledger.work.yielded);
+  CHECK(report.settlement == Approx(expected).epsilon(1e-4));
+  REQUIRE(report.zones_yielded);
+  CHECK(*report.zones_yielded == 3 * 3 * 8);
+  // All work at a load that rises from zero along one way: p settlement / 2, less what is stored, p^2 / 2E (1 - 4 nu K_a + 2 (1 - nu) K_a^2).
+  const double stored = 0.5 * 1e5 * strain * (1 - 4 * nu * active + 2 * (1 - nu) * active * active);
+  CHECK(report.ledger.elastic == Approx(stored).epsilon(1e-3));
+  CHECK(report.ledger.work.yielded == Approx(0.5 * 1e5 * expected - stored).epsilon(1e-2));
+  CHECK(report.ledger_residual_fraction < 1e-12);
+}
+
 TEST_CASE("the same scene gives the same bits twice") {
   const std::vector<std::string> shorter = {"run.duration=0.005", "apply.max_steps=500"};
   const Reports first = run_in_process("oedometer", shorter);
