@@ -102,9 +102,8 @@ void CoupledGround::advance() {
 
 Mat3 CoupledGround::zone_stress(const InitialState& initial, std::size_t z) const {
   if (incremental) return incremental->zone_stress(z);
-  const Mat3 elastic =
-      initial.zone_stress(grid, z) +
-      continuum::zone_stress(grid.geometry(z), grid.moduli(z), gather(motion.displacement, grid.zone[z]));
+  const Mat3 elastic = initial.zone_stress(grid, z) + continuum::zone_stress(grid.geometry(z), grid.moduli(z),
+                                                                             gather(motion.displacement, grid.zone[z]));
   return yielding ? Mat3(elastic + yielding->plastic_stress(z)) : elastic;
 }
 

@@ -18,7 +18,7 @@ struct ElasticModuli {
 
 struct Material {
   ElasticModuli moduli;
-  double density = 0;                    // [kg/m3]
+  double density = 0;                         // [kg/m3]
   std::optional<MohrCoulomb> yield_law = {};  // without: elastic whatever the stress
 };
 

@@ -46,8 +46,8 @@ void ResultFiles::add_history(const CoupledGround& g, const InitialState& initia
   for (const Vec3& f : g.baseline.force) baseline += f.z();
   for (const Vec3& u : g.motion.displacement) largest = std::max(largest, u.norm());
   history_->add({static_cast<double>(g.step), g.time, g.step_sizes.out_of, g.sums.unbalanced_ratio(), l.kinetic,
-                 l.elastic, l.work.gravity, l.work.boundary, l.work.interface, l.work.baseline, l.work.damped, l.work.yielded,
-                 l.residual(), force, baseline, largest});
+                 l.elastic, l.work.gravity, l.work.boundary, l.work.interface, l.work.baseline, l.work.damped,
+                 l.work.yielded, l.residual(), force, baseline, largest});
   if (observers_) observers_->add_rows(g, initial);
 }
 

@@ -51,13 +51,13 @@ struct RunReport {
   std::string step_limited_by;
   int step_cuts = 0;
   Ledger ledger;
-  std::optional<CoupledLedger> coupled;  // of both sides together
-  std::optional<std::int64_t> zones_yielded;   // ever; without: no material yields
-  std::int64_t zones_yielding = 0;             // in the last step
-  double ledger_residual_fraction = 0;   // of the sum of all work and energy, moduli [-]
-  double settlement = 0;                 // of the interface, mean of -u_z over its area, at the end [m]
-  double largest_displacement = 0;       // of any node at the end, reference state at Excavate [m]
-  double largest_strain_measure = 0;     // largest |u| over the mean facet size, to judge small strain by [-]
+  std::optional<CoupledLedger> coupled;       // of both sides together
+  std::optional<std::int64_t> zones_yielded;  // ever; without: no material yields
+  std::int64_t zones_yielding = 0;            // in the last step
+  double ledger_residual_fraction = 0;        // of the sum of all work and energy, moduli [-]
+  double settlement = 0;                      // of the interface, mean of -u_z over its area, at the end [m]
+  double largest_displacement = 0;            // of any node at the end, reference state at Excavate [m]
+  double largest_strain_measure = 0;          // largest |u| over the mean facet size, to judge small strain by [-]
 
   std::vector<double> phase_seconds;  // by Phase [s]
   double seconds = 0;                 // of the whole run [s]

@@ -97,13 +97,15 @@ ZoneKind to_zone_kind(scene::Continuum::ZoneKind kind) {
 
 std::optional<MohrCoulomb> yield_law(const scene::MohrCoulomb& m, const std::string& key, const SceneFile& file) {
   if (!(m.friction_angle() > 0 || m.cohesion() > 0))
-    throw InputError(fmt::format("{}: friction_angle and cohesion are both 0, so the ground would bear no shear at all; "
-                                 "give one of them",
-                                 file.where(key)));
+    throw InputError(
+        fmt::format("{}: friction_angle and cohesion are both 0, so the ground would bear no shear at all; "
+                    "give one of them",
+                    file.where(key)));
   if (m.dilation_angle() > m.friction_angle())
-    throw InputError(fmt::format("{}: dilation_angle {} degrees is above friction_angle {}: yielding would give energy "
-                                 "instead of taking it; give a smaller one",
-                                 file.where(key + ".dilation_angle"), m.dilation_angle(), m.friction_angle()));
+    throw InputError(
+        fmt::format("{}: dilation_angle {} degrees is above friction_angle {}: yielding would give energy "
+                    "instead of taking it; give a smaller one",
+                    file.where(key + ".dilation_angle"), m.dilation_angle(), m.friction_angle()));
   return mohr_coulomb(m.friction_angle() * pi / 180, m.dilation_angle() * pi / 180, m.cohesion());
 }
 

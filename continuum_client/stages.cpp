@@ -165,6 +165,7 @@ class Stages {
         stiffness_, mass_, is_free_, ground_.gravity, settings_.equilibrium, initial_.displacement,
         [this](const std::string& text, double fraction) { beat(text, fraction); },
         initial_.stress.empty() ? Vec3s() : prescribed_force(grid, initial_));
+    check_initial_yield(grid, is_left_, initial_);
     describe_initial_stress();
     end_stage(fmt::format(
         "ratio {:.2e} after {} solver iterations and {} cycles (drift {:.1e}), sigma_v at bottom {:.4g} kPa, K0 "
@@ -373,10 +374,7 @@ class Stages {
           std::make_unique<IncrementalForce>(ground_.grid, is_left_, initial_, settings_.has_large_strain);
     if (ground_.incremental && files_.is_active() && settings_.results.needs_strain())
       ground_.incremental->keep_strain();
-    if (settings_.may_yield()) {
-      check_initial_yield(ground_.grid, is_left_, initial_);
-      ground_.yielding = std::make_unique<YieldingZones>(ground_.grid, is_left_, initial_);
-    }
+    if (settings_.may_yield()) ground_.yielding = std::make_unique<YieldingZones>(ground_.grid, is_left_, initial_);
     ground_.loads = settings_.loads;
     for (const SurfaceLoad& load : settings_.loads)
       ground_.load_force.push_back(loaded_nodes(ground_.grid, load, is_left_));
@@ -606,7 +604,8 @@ class Stages {
     report_.ledger = ground_.integrator.ledger();
     const Ledger& l = report_.ledger;
     const double turnover = std::abs(l.work.gravity) + std::abs(l.work.boundary) + std::abs(l.work.interface) +
-                            std::abs(l.work.baseline) + std::abs(l.work.damped) + l.work.yielded + l.kinetic + std::abs(l.elastic);
+                            std::abs(l.work.baseline) + std::abs(l.work.damped) + l.work.yielded + l.kinetic +
+                            std::abs(l.elastic);
     report_.ledger_residual_fraction = turnover > 0 ? std::abs(l.residual()) / turnover : 0.0;
     for (const Vec3& u : ground_.motion.displacement)
       report_.largest_displacement = std::max(report_.largest_displacement, u.norm());

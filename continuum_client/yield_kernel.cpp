@@ -63,7 +63,8 @@ LOCKSTEP_INLINE Mask holds_zone(int l, std::int32_t zones) {
 
 // a : D^-1 b = a : b / 2G - (1 / 6G - 1 / 9K) tr a tr b
 LOCKSTEP_INLINE Lanes compliance(const YieldBlock& z, int l, const Tensor& a, const Tensor& b) {
-  const Lanes half = lanes(0.5) / load(z.shear + l), isotropic = lanes(1.0 / 3) * half - lanes(1.0 / 9) / load(z.bulk + l);
+  const Lanes half = lanes(0.5) / load(z.shear + l),
+              isotropic = lanes(1.0 / 3) * half - lanes(1.0 / 9) / load(z.bulk + l);
   return half * product(a, b) - isotropic * (trace(a) * trace(b));
 }
 
@@ -78,7 +79,8 @@ struct Sums {
 LOCKSTEP_INLINE void yield_part(const PartStrain& s, YieldBlock& z, int l, Mask holds,
                                 const YieldingMaterial* materials, Sums& sums) {
   const Lanes shear = load(z.shear + l), bulk = load(z.bulk + l), sine = load(z.friction + l), third = lanes(1.0 / 3);
-  const Tensor initial = load_tensor(z.initial, l), plastic = load_tensor(z.plastic, l), last = load_tensor(z.stress, l);
+  const Tensor initial = load_tensor(z.initial, l), plastic = load_tensor(z.plastic, l),
+               last = load_tensor(z.stress, l);
   const Lanes dilation = trace(s.strain), isotropic = bulk * dilation - (2.0 / 3) * shear * dilation;
   Tensor stress;
 #pragma GCC unroll 6

@@ -11,13 +11,13 @@ struct YieldingMaterial;
 
 // Of the eight zones of a ZoneBlock. Tensors by component: xx yy zz xy yz zx.
 struct alignas(64) YieldBlock {
-  double shear[8], bulk[8];           // [Pa]
-  double friction[8], strength[8];    // sin phi [-], c cos phi [Pa]
-  double initial[6][8];               // stress of the reference state [Pa]
-  double plastic[6][8];               // stress less that of the elastic law: -D times the plastic strain [Pa]
-  double stress[6][8];                // of the last step [Pa]
+  double shear[8], bulk[8];         // [Pa]
+  double friction[8], strength[8];  // sin phi [-], c cos phi [Pa]
+  double initial[6][8];             // stress of the reference state [Pa]
+  double plastic[6][8];             // stress less that of the elastic law: -D times the plastic strain [Pa]
+  double stress[6][8];              // of the last step [Pa]
   std::int32_t material[8];
-  bool has_yielded = false;           // any of them, ever
+  bool has_yielded = false;  // any of them, ever
 };
 
 struct YieldSums {

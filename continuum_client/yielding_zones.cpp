@@ -129,7 +129,8 @@ void check_initial_yield(const Grid& grid, const std::vector<char>& is_included,
     throw InputError(fmt::format(
         "the ground cannot bear its own initial stress: in zone {} at ({:.4g}, {:.4g}, {:.4g}) m the vertical stress "
         "is {:.4g} Pa and the horizontal one {:.4g} Pa, {:.3g} Pa of shear beyond continuum.mohr_coulomb; a horizontal "
-        "stress nearer to the vertical one (initial_stress.k0, or poisson_ratio without it) or a larger friction_angle or "
+        "stress nearer to the vertical one (initial_stress.k0, or poisson_ratio without it) or a larger friction_angle "
+        "or "
         "cohesion lets it stand",
         z, x.x(), x.y(), x.z(), stress(2, 2), stress(0, 0), excess));
   }

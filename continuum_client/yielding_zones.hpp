@@ -46,7 +46,7 @@ class YieldingZones {
 
   // Stress less the elastic law's, -D times the plastic strain; zero for zones that do not yield [Pa].
   Mat3 plastic_stress(std::size_t z) const;
-  Mat3 plastic_strain(std::size_t z) const;  // [-]
+  Mat3 plastic_strain(std::size_t z) const;                 // [-]
   double energy() const { return sums_.energy; }            // E less u . (f0 + f) / 2 [J]
   double dissipated() const { return dissipated_; }         // since the reference state [J]
   std::int64_t yielding() const { return sums_.yielding; }  // zones, in the last step

@@ -31,9 +31,7 @@ bool stands_on(const Grid& grid, std::int32_t below, std::int32_t above) {
 
 }  // namespace
 
-std::size_t ZoneBlocks::bytes() const {
-  return block.size() * sizeof(ZoneBlock) + table.size() * sizeof(std::int32_t);
-}
+std::size_t ZoneBlocks::bytes() const { return block.size() * sizeof(ZoneBlock) + table.size() * sizeof(std::int32_t); }
 
 ZoneBlocks arrange_zones(const Grid& grid, const std::vector<char>& is_included, std::vector<NodeRange>& ranges) {
   ZoneBlocks blocks;

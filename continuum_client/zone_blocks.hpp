@@ -41,7 +41,8 @@ struct NodeComponents {
   std::vector<double> values;
   std::size_t stride = 0;
 
-  explicit NodeComponents(std::size_t nodes = 0) : values(3 * (nodes + nodes_at_once), 0.0), stride(nodes + nodes_at_once) {}
+  explicit NodeComponents(std::size_t nodes = 0)
+      : values(3 * (nodes + nodes_at_once), 0.0), stride(nodes + nodes_at_once) {}
   Components get() { return {values.data(), values.data() + stride, values.data() + 2 * stride}; }
 };
 

@@ -93,9 +93,8 @@ inline QuarterRing quarter_ring(double a, double b, int zones, const Material& m
         const double half_angle = 0.25 * pi / zones, chord = 2 * a * std::sin(half_angle);
         for (int side : {-1, 1})
           if (j + side >= 0 && j + side <= zones)
-            ring.inner_pressure[n] +=
-                0.25 * chord * thickness *
-                Vec3(std::cos(angle + side * half_angle), std::sin(angle + side * half_angle), 0);
+            ring.inner_pressure[n] += 0.25 * chord * thickness *
+                                      Vec3(std::cos(angle + side * half_angle), std::sin(angle + side * half_angle), 0);
       }
   return ring;
 }
