@@ -165,7 +165,7 @@ class Stages {
         stiffness_, mass_, is_free_, ground_.gravity, settings_.equilibrium, initial_.displacement,
         [this](const std::string& text, double fraction) { beat(text, fraction); },
         initial_.stress.empty() ? Vec3s() : prescribed_force(grid, initial_));
-    check_initial_yield(grid, is_left_, initial_);
+    check_initial_yield(grid, is_left_, initial_, scene_.where("continuum.mohr_coulomb"));
     describe_initial_stress();
     end_stage(fmt::format(
         "ratio {:.2e} after {} solver iterations and {} cycles (drift {:.1e}), sigma_v at bottom {:.4g} kPa, K0 "

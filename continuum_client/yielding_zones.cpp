@@ -44,12 +44,7 @@ YieldingZones::YieldingZones(const Grid& grid, const std::vector<char>& is_inclu
   blocks_ = arrange_zones(grid, yields, ranges);
   partial_ = PartialForces(ranges);
   part_sums_.resize(ranges.size());
-  std::vector<std::int32_t> number(grid.materials.size(), -1);
-  for (std::size_t m = 0; m < number.size(); ++m)
-    if (grid.materials[m].yield_law) {
-      number[m] = static_cast<std::int32_t>(materials_.size());
-      materials_.push_back({*grid.materials[m].yield_law, grid.materials[m].moduli});
-    }
+  for (const Material& m : grid.materials) materials_.push_back({m.yield_law.value_or(MohrCoulomb{}), m.moduli});
   states_.resize(blocks_.block.size());
   for (std::size_t k = 0; k < states_.size(); ++k)
     for (std::size_t l = 0; l < nodes_at_once; ++l) {
@@ -58,7 +53,7 @@ YieldingZones::YieldingZones(const Grid& grid, const std::vector<char>& is_inclu
       const Material& material = grid.material_of(z);
       b.shear[l] = material.moduli.shear, b.bulk[l] = material.moduli.bulk;
       b.friction[l] = material.yield_law->friction_sine, b.strength[l] = material.yield_law->strength;
-      b.material[l] = number[static_cast<std::size_t>(grid.material[z])];
+      b.material[l] = grid.material[z];
       const Voigt stress = to_voigt(initial.zone_stress(grid, z));
       for (int c = 0; c < 6; ++c) b.initial[c][l] = b.stress[c][l] = stress[c], b.plastic[c][l] = 0;
       if (static_cast<std::int32_t>(l) < blocks_.block[k].zones)
@@ -74,18 +69,12 @@ void YieldingZones::advance(const Vec3s& displacement, Vec3s& force, Team& team)
     const auto [begin, end] = share_of(static_cast<std::int32_t>(displacement.size()), thread, team.size());
     node_kernel_.split(from, begin, end, {u.x + begin, u.y + begin, u.z + begin});
   });
-  const auto for_each_range = [&](const auto& visit) {
-    team.run([&](int thread) {
-      const auto [begin, end] = share_of(blocks_.share.size(), thread, team.size());
-      for (std::size_t r = begin; r < end; ++r) visit(r);
-    });
-  };
-  for_each_range([&](std::size_t r) {
+  blocks_.for_each_range(team, [&](std::size_t r) {
     const auto [begin, end] = blocks_.share[r];
     part_sums_[r] = kernel_(blocks_.block.data() + begin, states_.data() + begin, end - begin, blocks_.table.data(),
                             materials_.data(), x, u, partial_.clear(r), partial_.range(r).begin);
   });
-  for_each_range([&](std::size_t r) { partial_.join(r, node_kernel_, to, to); });
+  blocks_.for_each_range(team, [&](std::size_t r) { partial_.join(r, node_kernel_, to, to); });
   sums_ = {};
   for (const YieldSums& s : part_sums_)
     sums_.energy += s.energy, sums_.dissipated += s.dissipated, sums_.yielding += s.yielding;
@@ -118,7 +107,8 @@ std::size_t YieldingZones::zone_count() const {
   return static_cast<std::size_t>(std::count_if(place_.begin(), place_.end(), [](std::int64_t at) { return at >= 0; }));
 }
 
-void check_initial_yield(const Grid& grid, const std::vector<char>& is_included, const InitialState& initial) {
+void check_initial_yield(const Grid& grid, const std::vector<char>& is_included, const InitialState& initial,
+                         const std::string& where) {
   for (std::size_t z = 0; z < grid.zone_count(); ++z) {
     if (!may_yield(grid, is_included, z)) continue;
     const MohrCoulomb& law = *grid.material_of(z).yield_law;
@@ -127,12 +117,12 @@ void check_initial_yield(const Grid& grid, const std::vector<char>& is_included,
     if (excess <= yield_tolerance * stress.cwiseAbs().maxCoeff()) continue;
     const Vec3 x = grid.zone_center(z);
     throw InputError(fmt::format(
-        "the ground cannot bear its own initial stress: in zone {} at ({:.4g}, {:.4g}, {:.4g}) m the vertical stress "
-        "is {:.4g} Pa and the horizontal one {:.4g} Pa, {:.3g} Pa of shear beyond continuum.mohr_coulomb; a horizontal "
-        "stress nearer to the vertical one (initial_stress.k0, or poisson_ratio without it) or a larger friction_angle "
-        "or "
-        "cohesion lets it stand",
-        z, x.x(), x.y(), x.z(), stress(2, 2), stress(0, 0), excess));
+        "{}: the ground cannot bear its own initial stress: in zone {} at ({:.4g}, {:.4g}, {:.4g}) m the vertical "
+        "stress "
+        "is {:.4g} Pa and the horizontal one {:.4g} Pa, {:.3g} Pa of shear too much; give a horizontal stress nearer "
+        "to "
+        "the vertical one (initial_stress.k0, or poisson_ratio without it), a larger friction_angle or a cohesion",
+        where, z, x.x(), x.y(), x.z(), stress(2, 2), stress(0, 0), excess));
   }
 }
 

@@ -15,6 +15,7 @@
 #pragma once
 #include <cstddef>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "common/instructions.hpp"
@@ -36,7 +37,6 @@ struct YieldingMaterial {
 
 class YieldingZones {
  public:
-  YieldingZones() = default;
   // Of the zones with is_included[z] (empty: all) whose material yields, from the state `initial` on.
   YieldingZones(const Grid& grid, const std::vector<char>& is_included, const InitialState& initial,
                 InstructionSet instructions = best_instructions());
@@ -58,8 +58,8 @@ class YieldingZones {
   YieldKernel kernel_ = nullptr;
   ZoneBlocks blocks_;
   std::vector<YieldBlock> states_;
-  std::vector<YieldingMaterial> materials_;
-  std::vector<std::int64_t> place_;  // per zone of the grid: 8 times block plus lane, or -1
+  std::vector<YieldingMaterial> materials_;  // of the grid, those that do not yield among them
+  std::vector<std::int64_t> place_;          // per zone of the grid: 8 times block plus lane, or -1
   PartialForces partial_;
   NodeComponents x_, u_;
   std::vector<YieldSums> part_sums_;  // per range
@@ -67,7 +67,8 @@ class YieldingZones {
   double dissipated_ = 0;
 };
 
-// Throws InputError if a zone's initial stress lies beyond what it bears, with the remedy.
-void check_initial_yield(const Grid& grid, const std::vector<char>& is_included, const InitialState& initial);
+// Throws InputError with `where` and the remedy if a zone's initial stress lies beyond what it bears.
+void check_initial_yield(const Grid& grid, const std::vector<char>& is_included, const InitialState& initial,
+                         const std::string& where);
 
 }  // namespace lockstep::continuum

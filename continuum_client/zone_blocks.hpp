@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "common/parallel.hpp"
 #include "continuum_client/stiffness_kernel.hpp"
 
 namespace lockstep::continuum {
@@ -31,6 +32,14 @@ struct ZoneBlocks {
   std::vector<Share> share;         // of blocks, per range of nodes
 
   std::size_t bytes() const;  // of what a kernel reads
+  // visit(r) for each range, shared out to threads.
+  template <class Visit>
+  void for_each_range(Team& team, const Visit& visit) const {
+    team.run([&](int thread) {
+      const auto [begin, end] = share_of(share.size(), thread, team.size());
+      for (std::size_t r = begin; r < end; ++r) visit(r);
+    });
+  }
 };
 
 // Of the zones with is_included[z]; an empty list includes all. `ranges`: of nodes, as many as shares.

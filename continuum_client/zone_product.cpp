@@ -46,18 +46,12 @@ ZoneProduct::ZoneProduct(const Grid& grid, const std::vector<char>& is_included,
 
 void ZoneProduct::evaluate(const Components& u, const double* reference, double* f, Team& team) {
   const Components x = x_.get();
-  const auto for_each_range = [&](const auto& visit) {
-    team.run([&](int thread) {
-      const auto [begin, end] = share_of(blocks_.share.size(), thread, team.size());
-      for (std::size_t r = begin; r < end; ++r) visit(r);
-    });
-  };
-  for_each_range([&](std::size_t r) {
+  blocks_.for_each_range(team, [&](std::size_t r) {
     const auto [begin, end] = blocks_.share[r];
     kernel_(blocks_.block.data() + begin, end - begin, blocks_.table.data(), moduli_.data() + 2 * nodes_at_once * begin,
             x, u, partial_.clear(r), partial_.range(r).begin);
   });
-  for_each_range([&](std::size_t r) { partial_.join(r, node_kernel_, reference, f); });
+  blocks_.for_each_range(team, [&](std::size_t r) { partial_.join(r, node_kernel_, reference, f); });
 }
 
 std::size_t ZoneProduct::bytes() const {

@@ -281,7 +281,7 @@ TEST_CASE("the ledger of ground that yields closes to round-off, and yielding ta
   const StiffnessMatrix k = assemble_stiffness(grid);
   InitialState initial;
   reach_equilibrium(k, mass, is_free, Vec3(0, 0, -9.81), {0.7, 1e-8, 1000, 0.9}, initial.displacement, {});
-  check_initial_yield(grid, {}, initial);
+  check_initial_yield(grid, {}, initial, "t");
   InternalForce elastic(k);
   k.multiply(initial.displacement, elastic.reference);
   YieldingZones yielding(grid, {}, initial);
@@ -368,9 +368,10 @@ TEST_CASE("keys of yielding ground that contradict each other, and ground that c
     const Grid grid = brick(1, 1, 1, 2, 2, 2, sand(friction, 0, 0));
     const InitialState initial = at_stress(grid, Vec3(-20e3, -20e3, -100e3).asDiagonal());
     if (friction > 42)
-      CHECK_NOTHROW(check_initial_yield(grid, {}, initial));
+      CHECK_NOTHROW(check_initial_yield(grid, {}, initial, "t"));
     else
-      CHECK_THROWS_WITH(check_initial_yield(grid, {}, initial), Catch::Contains("cannot bear its own initial stress"));
+      CHECK_THROWS_WITH(check_initial_yield(grid, {}, initial, "t"),
+                        Catch::Contains("cannot bear its own initial stress"));
   }
 }
 
