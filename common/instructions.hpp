@@ -15,3 +15,14 @@ InstructionSet instructions_by_name(std::string_view name);
 std::string_view name_of(InstructionSet set);
 
 }  // namespace lockstep
+
+// A kernel that lockstep_kernels() compiles once for each set: name_generic, name_avx2 and name_avx512, or the first alone
+// where the compiler's machine has no others.
+#if defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
+#define LOCKSTEP_KERNEL_FOR(set, name) (static_cast<void>(set), name##_generic)
+#else
+#define LOCKSTEP_KERNEL_FOR(set, name)                         \
+  ((set) == ::lockstep::InstructionSet::Avx512 ? name##_avx512 \
+   : (set) == ::lockstep::InstructionSet::Avx2 ? name##_avx2   \
+                                               : name##_generic)
+#endif

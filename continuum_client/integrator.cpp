@@ -9,14 +9,6 @@
 namespace lockstep::continuum {
 namespace {
 
-NodeKernel kernel_of([[maybe_unused]] InstructionSet set) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return node_kernel_avx512();
-  if (set == InstructionSet::Avx2) return node_kernel_avx2();
-#endif
-  return node_kernel_generic();
-}
-
 constexpr std::size_t chunk_nodes = 1024;  // what threads share out
 constexpr std::size_t at_once = 8;         // nodes, of the kernel
 
@@ -53,7 +45,7 @@ Integrator::Integrator(std::vector<double> mass, Vec3s is_free, Vec3s dashpot, I
       is_free_(std::move(is_free)),
       mobility_(mass_.size(), Vec3::Zero()),
       dashpot_(std::move(dashpot)),
-      kernel_(kernel_of(instructions)),
+      kernel_(LOCKSTEP_KERNEL_FOR(instructions, node_kernel)()),
       sums_((mass_.size() + chunk_nodes - 1) / chunk_nodes) {
   for (std::size_t i = 0; i < mass_.size(); ++i)
     if (mass_[i] > 0) mobility_[i] = is_free_[i] / mass_[i];

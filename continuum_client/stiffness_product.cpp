@@ -113,13 +113,7 @@ Costs costs_of(const StiffnessMatrix& matrix) {
 
 }  // namespace
 
-StiffnessKernel stiffness_kernel([[maybe_unused]] InstructionSet set) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return stiffness_kernel_avx512();
-  if (set == InstructionSet::Avx2) return stiffness_kernel_avx2();
-#endif
-  return stiffness_kernel_generic();
-}
+StiffnessKernel stiffness_kernel(InstructionSet set) { return LOCKSTEP_KERNEL_FOR(set, stiffness_kernel)(); }
 
 StiffnessProduct::StiffnessProduct(const StiffnessMatrix& matrix, InstructionSet instructions)
     : kernel_(stiffness_kernel(instructions)) {

@@ -8,14 +8,6 @@
 namespace lockstep::continuum {
 namespace {
 
-YieldKernel kernel_of([[maybe_unused]] InstructionSet set) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return yield_kernel_avx512();
-  if (set == InstructionSet::Avx2) return yield_kernel_avx2();
-#endif
-  return yield_kernel_generic();
-}
-
 bool may_yield(const Grid& grid, const std::vector<char>& is_included, std::size_t z) {
   return (is_included.empty() || is_included[z]) && grid.material_of(z).yield_law;
 }
@@ -34,7 +26,7 @@ bool yield_zone(const YieldingMaterial* materials, std::int32_t material, double
 YieldingZones::YieldingZones(const Grid& grid, const std::vector<char>& is_included, const InitialState& initial,
                              InstructionSet instructions)
     : node_kernel_(stiffness_kernel(instructions)),
-      kernel_(kernel_of(instructions)),
+      kernel_(LOCKSTEP_KERNEL_FOR(instructions, yield_kernel)()),
       place_(grid.zone_count(), -1),
       x_(positions_by_component(grid)),
       u_(grid.node_count()) {

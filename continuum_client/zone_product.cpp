@@ -7,14 +7,6 @@
 namespace lockstep::continuum {
 namespace {
 
-ZoneKernel kernel_of([[maybe_unused]] InstructionSet set) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return zone_kernel_avx512();
-  if (set == InstructionSet::Avx2) return zone_kernel_avx2();
-#endif
-  return zone_kernel_generic();
-}
-
 // Of a zone, in the units of stiffness_product.cpp, where a node of a distorted mesh costs 170 in half rows: measured as
 // 0.78 of that, with 200,000 zones and one thread.
 constexpr double zone_cycles = 132;
@@ -32,7 +24,7 @@ double ZoneProduct::cost(const Grid& grid, const std::vector<char>& is_included)
 ZoneProduct::ZoneProduct(const Grid& grid, const std::vector<char>& is_included, InstructionSet instructions)
     : node_kernel_(stiffness_kernel(instructions)), x_(positions_by_component(grid)) {
   LOCKSTEP_ASSERT(has_kernel(grid.zone_kind), "no kernel for this kind of zone");
-  kernel_ = kernel_of(instructions);
+  kernel_ = LOCKSTEP_KERNEL_FOR(instructions, zone_kernel)();
   std::vector<NodeRange> ranges;
   blocks_ = arrange_zones(grid, is_included, ranges);
   partial_ = PartialForces(ranges);

@@ -12,18 +12,6 @@
 
 namespace lockstep::dem {
 
-namespace {
-
-PairKernel kernel_of([[maybe_unused]] InstructionSet set, const PairKernelTraits& traits) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return pair_kernel_avx512(traits);
-  if (set == InstructionSet::Avx2) return pair_kernel_avx2(traits);
-#endif
-  return pair_kernel_generic(traits);
-}
-
-}  // namespace
-
 // ------------------------------------------------------------------------------------------------------- the lists
 
 // Fills a chunk entry by entry, and its last tile with entries that name nobody.
@@ -471,9 +459,9 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
   traits.has_dashpot = material.damping_ratio > 0;
   traits.is_periodic = period_.has_value();
   traits.detail = detail;
-  const PairKernel free_kernel = kernel_of(instructions_, traits);
+  const PairKernel free_kernel = LOCKSTEP_KERNEL_FOR(instructions_, pair_kernel)(traits);
   traits.is_bounded = true;
-  const PairKernel bounded_kernel = kernel_of(instructions_, traits);
+  const PairKernel bounded_kernel = LOCKSTEP_KERNEL_FOR(instructions_, pair_kernel)(traits);
   const PairLaw law = {material.contact_modulus,
                        1 / material.stiffness_ratio,
                        material.friction,

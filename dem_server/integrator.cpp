@@ -11,14 +11,6 @@ namespace lockstep::dem {
 
 namespace {
 
-MotionKernel kernel_of([[maybe_unused]] InstructionSet set, bool has_clumps, Detail detail) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx512) return motion_kernel_avx512(has_clumps, detail);
-  if (set == InstructionSet::Avx2) return motion_kernel_avx2(has_clumps, detail);
-#endif
-  return motion_kernel_generic(has_clumps, detail);
-}
-
 void add(const double* part, Vec3& sum) { sum += Vec3(part[0], part[1], part[2]); }
 
 MotionTotals added_up(const std::vector<MotionSums>& chunks) {
@@ -54,7 +46,8 @@ MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_st
   const std::size_t chunks = (bodies + chunk_bodies - 1) / chunk_bodies;
   Team& team = options.team ? *options.team : Team::alone();
   const int parts = options.partition ? options.partition->parts(team.size()) : team.size();
-  const MotionKernel kernel = kernel_of(options.instructions, particles.has_clumps(), options.detail);
+  const MotionKernel kernel =
+      LOCKSTEP_KERNEL_FOR(options.instructions, motion_kernel)(particles.has_clumps(), options.detail);
   const MotionStep step = {{gravity.x(), gravity.y(), gravity.z()},
                            0.5 * (time_step_old + time_step_new),
                            time_step_new,

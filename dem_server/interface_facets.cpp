@@ -186,13 +186,7 @@ FacetPoint closest_point(const FacetCorners& x, const Vec3& center) {
 
 // ---------------------------------------------------------------------------------------------------- the surface
 
-FacetKernels facet_kernels([[maybe_unused]] InstructionSet instructions) {
-#if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (instructions == InstructionSet::Avx512) return facet_kernel_avx512();
-  if (instructions == InstructionSet::Avx2) return facet_kernel_avx2();
-#endif
-  return facet_kernel_generic();
-}
+FacetKernels facet_kernels(InstructionSet instructions) { return LOCKSTEP_KERNEL_FOR(instructions, facet_kernel)(); }
 
 InterfaceFacets::InterfaceFacets(const Vec3s& nodes, const std::vector<std::array<std::int32_t, 4>>& facets,
                                  double collar_height, FacetKernels kernels)
