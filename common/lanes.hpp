@@ -28,7 +28,7 @@ using Pair [[gnu::vector_size(16)]] = double;
 
 #define LOCKSTEP_INLINE inline __attribute__((always_inline))
 
-LOCKSTEP_INLINE Lanes lanes(double value) { return Lanes{} + value; }
+LOCKSTEP_INLINE Lanes lanes(double value) { return value - Lanes{}; }  // keeps the sign of a zero
 LOCKSTEP_INLINE Lanes load(const double* from) { return *reinterpret_cast<const Lanes*>(from); }
 LOCKSTEP_INLINE void store(double* to, Lanes value) { *reinterpret_cast<Lanes*>(to) = value; }
 // The same for any address of a double.

@@ -38,11 +38,12 @@ void pair_contacts(Model& m) {
 
 void wall_contacts(Model& m) {
   const auto timing = m.profile.measure(Phase::WallContacts);
-  m.wall_totals =
-      m.walls.compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team, m.contacts.partition());
+  const WallKernels kernels = wall_kernels(m.contacts.instructions());
+  m.wall_totals = m.walls.compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team,
+                                  m.contacts.partition(), kernels);
   if (m.pile)
     m.pile_totals = m.pile->compute(m.particles, m.material, m.last_time_step, m.contacts.limits(), *m.team,
-                                    m.contacts.partition());
+                                    m.contacts.partition(), kernels);
 }
 
 void move(Model& m) {

@@ -81,6 +81,7 @@ class WallCandidates {
 
   std::size_t size() const { return pebbles_.size(); }
   std::int32_t pebble(std::size_t i) const { return pebbles_[i]; }  // rising
+  const std::int32_t* pebbles() const { return pebbles_.data(); }
   // The candidates that are pebbles of `range`: first, and one behind the last.
   std::pair<std::size_t, std::size_t> within(const PebbleRange& range) const {
     const auto place = [&](std::int32_t p) {

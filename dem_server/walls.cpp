@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
-#include <span>
 #include <utility>
 
 #include "common/checks.hpp"
@@ -11,10 +9,6 @@
 namespace lockstep::dem {
 
 namespace {
-
-// A contact goes on with the spring of the last step's contact of the same pebble whose normal is the most similar, if
-// their angle's cosine is above this: less than the angle between the two contacts of a right-angled corner.
-constexpr double least_similarity = 0.5;
 
 // A spin along an axis through the centre turns a shape about that axis in itself: sine of the angle between them, and
 // distance of the centre from the axis [m], that count as none.
@@ -24,114 +18,49 @@ constexpr double on_axis = 1e-9;
 // A plane lies across an axis when the sine between its normal and the axis is below this.
 constexpr double across = 1e-9;
 
-// Contacts of the last step with one wall, by pebble. A spring is handed on once.
-class Springs {
- public:
-  Springs(std::span<const WallContact> previous, std::int32_t first_pebble) : previous_(previous) {
-    next_ =
-        static_cast<std::size_t>(std::lower_bound(previous.begin(), previous.end(), first_pebble,
-                                                  [](const WallContact& c, std::int32_t p) { return c.pebble < p; }) -
-                                 previous.begin());
-  }
-  // `outward` towards the grain. Called with rising pebbles.
-  ContactHistory of(std::int32_t pebble, const Vec3& outward) {
-    while (next_ < previous_.size() && previous_[next_].pebble < pebble) ++next_, taken_ = 0;
-    double most_similar = least_similarity;
-    std::size_t heir_of = previous_.size();
-    for (std::size_t i = next_; i < previous_.size() && previous_[i].pebble == pebble; ++i) {
-      const double similarity = -previous_[i].history.normal.dot(outward);
-      if (similarity <= most_similar || (i - next_ < mask_bits && taken_ >> (i - next_) & 1)) continue;
-      most_similar = similarity;
-      heir_of = i;
-    }
-    if (heir_of == previous_.size()) return {};
-    if (heir_of - next_ < mask_bits) taken_ |= std::uint64_t{1} << (heir_of - next_);
-    return previous_[heir_of].history;
-  }
-
- private:
-  static constexpr std::size_t mask_bits = 64;
-  std::span<const WallContact> previous_;
-  std::size_t next_ = 0;
-  std::uint64_t taken_ = 0;  // of the present pebble's contacts
-};
-
-// Presses a pebble against a rigid wall: `outward` is the wall's normal, towards the grain; velocity_at(x) that of the
-// wall's material point at x.
-template <class VelocityAt>
-WallContact press(Particles& particles, std::int32_t pebble, std::int32_t part, const Vec3& outward, double overlap,
-                  VelocityAt&& velocity_at, const GrainMaterial& material, double friction, double dt,
-                  const ContactHistory& history) {
-  WallContact contact;
-  contact.pebble = pebble;
-  contact.body = particles.pebble_body(pebble);
-  contact.part = part;
-  contact.overlap = overlap;
-  contact.overlap_ratio = overlap / particles.pebble_radius(pebble);
-  contact.history = history;
-
-  const double radius = particles.equivalent_radius(contact.body);
-  ContactMaterial law;
-  law.normal_stiffness = material.normal_stiffness(radius, radius);
-  law.shear_stiffness = law.normal_stiffness / material.stiffness_ratio;
-  law.friction = friction;
-  if (material.damping_ratio > 0)
-    law.normal_dashpot = 2 * material.damping_ratio * std::sqrt(law.normal_stiffness * particles.mass(contact.body));
-  contact.normal_stiffness = law.normal_stiffness;
-  contact.shear_stiffness = law.shear_stiffness;
-
-  const Vec3 normal = -outward;  // from grain to wall
-  contact.point =
-      particles.pebble_center(pebble) + (particles.pebble_radius(pebble) - 0.5 * overlap) * normal;  // eq. 1
-  const Vec3 wall_velocity = velocity_at(contact.point);
-  const Vec3 approach = wall_velocity - particles.velocity_at(contact.body, contact.point);  // eq. 4
-  const ContactResult result = contact_force(law, normal, overlap, approach, dt, contact.history);
-  contact.force = result.force_on_a;
-  contact.normal_force = result.normal_force;
-  contact.elastic_energy = contact_energy(law, overlap, contact.history);
-  contact.slip_work = result.slip_work;
-  contact.dashpot_work = result.dashpot_power * dt;
-  contact.power = contact.force.dot(wall_velocity);
-  particles.add_force(contact.body, contact.point, contact.force);
-  return contact;
+WallLaw law_of(const GrainMaterial& material, double friction, double dt) {
+  return {material.contact_modulus, material.stiffness_ratio, friction, material.damping_ratio, dt};
 }
 
-void add_contacts(Hash& h, const std::vector<WallContact>& contacts) {
-  for (const WallContact& contact : contacts) {
-    h.add(static_cast<std::uint64_t>(contact.pebble));
-    h.add(static_cast<std::uint64_t>(contact.part));
-    h.add(contact.history.spring);
-    h.add(contact.history.normal);
+// Shapes as the kernels know them.
+ShapeFrame frame_of(const WallState& state) {
+  ShapeFrame frame{};
+  const Mat3 turn = state.attitude.toRotationMatrix();
+  for (int i = 0; i < 3; ++i) {
+    frame.center[i] = state.center[i];
+    for (int j = 0; j < 3; ++j) frame.turn[i][j] = turn(i, j);
   }
+  return frame;
+}
+
+void copy(const Vec3& from, double* to) { std::copy_n(from.data(), 3, to); }
+
+PlaneFace face_of(const PlaneShape& s) {
+  PlaneFace face{};
+  copy(s.point, face.point), copy(s.normal, face.normal);
+  return face;
+}
+
+CylinderFace face_of(const CylinderShape& s) {
+  CylinderFace face{};
+  copy(s.point, face.point), copy(s.axis, face.axis), copy(s.axis.unitOrthogonal(), face.across);
+  face.radius = s.radius;
+  face.outside = s.side == Side::Outside ? 1 : -1;
+  return face;
+}
+
+template <class Shape>
+constexpr bool has_kernel = std::is_same_v<Shape, PlaneShape> || std::is_same_v<Shape, CylinderShape>;
+auto touch_kernel(const WallKernels& kernels, const PlaneShape&) { return kernels.touch_plane; }
+auto touch_kernel(const WallKernels& kernels, const CylinderShape&) { return kernels.touch_cylinder; }
+
+WallMotion motion_of(const Vec3& center, const Vec3& velocity, const Vec3& spin) {
+  WallMotion motion{};
+  copy(center, motion.center), copy(velocity, motion.velocity), copy(spin, motion.spin);
+  return motion;
 }
 
 }  // namespace
-
-void WallTotals::add(const WallContact& c) {
-  ++contacts;
-  force -= c.force;
-  normal_force += c.normal_force;
-  stiffness += c.normal_stiffness;
-  elastic_energy += c.elastic_energy;
-  slip_work += c.slip_work;
-  dashpot_work += c.dashpot_work;
-  power += c.power;
-  max_overlap = std::max(max_overlap, c.overlap_ratio);
-}
-
-WallTotals& WallTotals::operator+=(const WallTotals& other) {
-  contacts += other.contacts;
-  force += other.force;
-  normal_force += other.normal_force;
-  stiffness += other.stiffness;
-  elastic_energy += other.elastic_energy;
-  slip_work += other.slip_work;
-  dashpot_work += other.dashpot_work;
-  power += other.power;
-  work += other.work;
-  max_overlap = std::max(max_overlap, other.max_overlap);
-  return *this;
-}
 
 // ------------------------------------------------------------------------------------------- shapes, seen by a wall
 
@@ -291,7 +220,6 @@ Walls::Walls(std::vector<WallSettings> walls, double friction) : common_friction
     set_spin(walls_.size() - 1, from.spin);
   }
   totals_.resize(walls_.size());
-  wall_end_.assign(walls_.size(), 0);
 }
 
 void Walls::set_friction(double friction) {
@@ -389,91 +317,67 @@ void Walls::renew_candidates(const Particles& particles, const TravelLimits& lim
   }
 }
 
-// The pebbles of one thread against all walls. Flattened: its small functions as calls take a third of it.
-[[gnu::flatten]] void Walls::press(Particles& particles, const GrainMaterial& material, double dt,
-                                   const PebbleRange& range, Part& part) {
-  part.contacts.clear();
-  part.wall_end.clear();
-  for (std::size_t k = 0; k < walls_.size(); ++k) {
-    const Wall& wall = walls_[k];
-    const WallState& state = wall.state;
-    const auto [first, last] = wall.candidates.within(range);
-    if (first == last) {
-      part.wall_end.push_back(part.contacts.size());
-      continue;
-    }
+// The pebbles of `range` that touch a wall.
+template <class Shape>
+void Walls::find_touches(const Wall& wall, std::int32_t index, const Shape& shape, const PebbleRange& range,
+                         const WallKernels& kernels, Particles& particles, MeshScratch& mesh,
+                         WallContacts::Part& part) const {
+  const WallState& state = wall.state;
+  const auto [first, last] = wall.candidates.within(range);
+  if (first == last) return;
+  if constexpr (has_kernel<Shape>) {
+    const std::int32_t touching = touch_kernel(kernels, shape)(
+        records_of(particles), frame_of(state), face_of(shape), wall.candidates.pebbles() + first,
+        static_cast<std::int32_t>(last - first), part.room(last - first));
+    part.set_touches(touching, index);
+  } else {
     const Mat3 turn = state.attitude.toRotationMatrix(), to_local = turn.transpose();
-    const Vec3 velocity = velocity_of(wall), spin = spin_of(wall);
-    const std::size_t old_begin = k > 0 && !previous_end_.empty() ? previous_end_[k - 1] : 0;
-    const std::size_t old_end = previous_end_.empty() ? 0 : previous_end_[k];
-    Springs springs(std::span<const WallContact>(previous_).subspan(old_begin, old_end - old_begin), range.begin);
-
-    std::visit(
-        [&](const auto& shape) {
-          const auto velocity_at = [&](const Vec3& x) -> Vec3 {
-            Vec3 v = velocity + spin.cross(x - state.center);
-            if (state.servo_speed != 0)
-              v += state.servo_speed * (turn * servo_direction(shape, *wall.servo, to_local * (x - state.center)));
-            return v;
-          };
-          const auto push = [&](std::int32_t pebble, const Vec3& local_normal, double overlap) {
-            const Vec3 outward = turn * local_normal;
-            const auto i = static_cast<std::int32_t>(k);
-            part.contacts.push_back(dem::press(particles, pebble, i, outward, overlap, velocity_at, material,
-                                               friction_share_ * wall.friction, dt, springs.of(pebble, outward)));
-          };
-          for (std::size_t i = first; i < last; ++i) {
-            const std::int32_t p = wall.candidates.pebble(i);
-            const double radius = particles.pebble_radius(p);
-            const Vec3 local = to_local * (particles.pebble_center(p) - state.center);
-            if constexpr (std::is_same_v<std::decay_t<decltype(shape)>, MeshShape>) {
-              shape.mesh->touch(local - shape.shift, radius, wall.candidates.extra(i), wall.candidates.extra_count(i),
-                                part.scratch, part.found);
-              for (const MeshContact& found : part.found) push(p, found.normal, found.overlap);
-            } else {
-              const WallPoint at = shape.closest(local);
-              if (at.distance < radius) push(p, at.normal, radius - at.distance);
-            }
-          }
-        },
-        wall.shape);
-    part.wall_end.push_back(part.contacts.size());
-  }
-}
-
-// The threads' contacts, by wall and then by pebble.
-void Walls::gather() {
-  contacts_.clear();
-  if (parts_.size() == 1) {
-    std::swap(contacts_, parts_[0].contacts);
-    wall_end_ = parts_[0].wall_end;
-    return;
-  }
-  for (std::size_t k = 0; k < walls_.size(); ++k) {
-    for (const Part& part : parts_) {
-      const auto begin = static_cast<std::ptrdiff_t>(k > 0 ? part.wall_end[k - 1] : 0);
-      const auto end = static_cast<std::ptrdiff_t>(part.wall_end[k]);
-      contacts_.insert(contacts_.end(), part.contacts.begin() + begin, part.contacts.begin() + end);
+    for (std::size_t i = first; i < last; ++i) {
+      const std::int32_t p = wall.candidates.pebble(i);
+      const double radius = particles.pebble_radius(p);
+      const Vec3 local = to_local * (particles.pebble_center(p) - state.center);
+      if constexpr (std::is_same_v<Shape, MeshShape>) {
+        shape.mesh->touch(local - shape.shift, radius, wall.candidates.extra(i), wall.candidates.extra_count(i),
+                          mesh.scratch, mesh.found);
+        for (const MeshContact& found : mesh.found) part.add_touch(p, turn * found.normal, found.overlap, index);
+      } else {
+        const WallPoint at = shape.closest(local);
+        if (at.distance < radius) part.add_touch(p, turn * at.normal, radius - at.distance, index);
+      }
     }
-    wall_end_[k] = contacts_.size();
   }
 }
 
-[[gnu::flatten]] void Walls::add_up(std::size_t k, double dt) {
+// The speed that a servo gives the surface at each touch.
+template <class Shape>
+void Walls::add_servo_speed(const Wall& wall, const Shape& shape, const Particles& particles,
+                            WallContacts::Part& part) const {
+  const WallState& state = wall.state;
+  const Mat3 turn = state.attitude.toRotationMatrix(), to_local = turn.transpose();
+  for (const WallTouch& touch : part) {
+    const Vec3 normal(-touch.nx, -touch.ny, -touch.nz);
+    const Vec3 point =
+        particles.pebble_center(touch.pebble) + (particles.pebble_radius(touch.pebble) - 0.5 * touch.overlap) * normal;
+    const Vec3 direction = servo_direction(shape, *wall.servo, to_local * (point - state.center));
+    part.add_surface_velocity(state.servo_speed * (turn * direction));
+  }
+}
+
+void Walls::add_up(std::size_t k, double dt, const WallKernels& kernels) {
   Wall& wall = walls_[k];
   WallState& state = wall.state;
   WallTotals& totals = totals_[k];
-  totals = WallTotals{};
-  const Mat3 turn = state.attitude.toRotationMatrix(), to_local = turn.transpose();
-  for (std::size_t i = k > 0 ? wall_end_[k - 1] : 0; i < wall_end_[k]; ++i) {
-    const WallContact& c = contacts_[i];
-    totals.add(c);
-    totals.torque -= (c.point - state.center).cross(c.force);
-    if (!wall.servo) continue;
-    const Vec3 direction =
-        std::visit([&](const auto& s) { return servo_direction(s, *wall.servo, to_local * (c.point - state.center)); },
-                   wall.shape);
-    totals.pressing += c.force.dot(turn * direction);
+  totals = contacts_.totals(k, state.center, kernels);
+  if (wall.servo) {
+    const Mat3 turn = state.attitude.toRotationMatrix(), to_local = turn.transpose();
+    std::visit(
+        [&](const auto& shape) {
+          contacts_.for_each(k, [&](const WallPress& c) {
+            const Vec3 point(c.x, c.y, c.z), force(c.fx, c.fy, c.fz);
+            totals.pressing += force.dot(turn * servo_direction(shape, *wall.servo, to_local * (point - state.center)));
+          });
+        },
+        wall.shape);
   }
   totals.work = 0.5 * dt *
                 ((state.last_force - totals.force).dot(velocity_of(wall)) +
@@ -485,25 +389,35 @@ void Walls::gather() {
 }
 
 WallTotals Walls::compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits,
-                          Team& team, const Partition& partition) {
+                          Team& team, const Partition& partition, const WallKernels& kernels) {
   WallTotals all;
   if (walls_.empty()) return all;
   renew_candidates(particles, limits, team, partition);
   one_contact_stiffness_ = material.normal_stiffness(largest_radius_, largest_radius_);
-  std::swap(contacts_, previous_);
-  std::swap(wall_end_, previous_end_);
-  wall_end_.assign(walls_.size(), 0);
-  contacts_.clear();
-  if (candidates() > 0) {
-    parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
-    team.run_parts(partition.parts(team.size()), [&](int k) {
-      press(particles, material, dt, pebbles_of_part(particles, partition, team.size(), k),
-            parts_[static_cast<std::size_t>(k)]);
+  const int parts = partition.parts(team.size());
+  contacts_.begin(walls_.size(), parts);
+  mesh_scratch_.resize(static_cast<std::size_t>(parts));
+  if (candidates() > 0)
+    team.run_parts(parts, [&](int p) {
+      const PebbleRange range = pebbles_of_part(particles, partition, team.size(), p);
+      WallContacts::Part& part = contacts_.part(p);
+      for (std::size_t k = 0; k < walls_.size(); ++k) {
+        const Wall& wall = walls_[k];
+        const WallMotion motion = motion_of(wall.state.center, velocity_of(wall), spin_of(wall));
+        std::visit(
+            [&](const auto& shape) {
+              find_touches(wall, static_cast<std::int32_t>(k), shape, range, kernels, particles,
+                           mesh_scratch_[static_cast<std::size_t>(p)], part);
+              if (wall.state.servo_speed != 0) add_servo_speed(wall, shape, particles, part);
+            },
+            wall.shape);
+        contacts_.press(part, k, range.begin, kernels, particles, law_of(material, friction(k), dt), motion);
+        if (parts == 1) add_up(k, dt, kernels);  // as long as the caches have its contacts
+      }
     });
-    gather();
-  }
+  contacts_.end();
   for (std::size_t k = 0; k < walls_.size(); ++k) {
-    add_up(k, dt);
+    if (parts > 1 || candidates() == 0) add_up(k, dt, kernels);
     all += totals_[k];
   }
   return all;
@@ -629,12 +543,11 @@ void Walls::hash(Hash& h) const {
     for (const double q : {s.attitude.x(), s.attitude.y(), s.attitude.z(), s.attitude.w()}) h.add(q);
     h.add(s.servo_speed), h.add(s.servo_way);
   }
-  add_contacts(h, contacts_);
+  contacts_.hash(h);
 }
 
 void Walls::clear_history() {
   contacts_.clear();
-  wall_end_.assign(walls_.size(), 0);
   for (Wall& wall : walls_) wall.candidates.forget();
 }
 
@@ -644,19 +557,16 @@ std::vector<WallState> Walls::states() const {
   return states;
 }
 
-void Walls::restore(const std::vector<WallState>& states, std::vector<WallContact> contacts) {
+void Walls::restore(const std::vector<WallState>& states, const std::vector<WallContact>& contacts) {
   if (states.size() != walls_.size())
     throw InputError(fmt::format("the state of {} walls does not fit a scene of {}; give that scene's", states.size(),
                                  walls_.size()));
-  contacts_ = std::move(contacts);
-  std::size_t next = 0;
+  contacts_.restore(walls_.size(), contacts);
   for (std::size_t k = 0; k < walls_.size(); ++k) {
     Wall& wall = walls_[k];
     wall.state = states[k];
     apply_servo_way(wall);
     set_spin(k, wall.state.spin);
-    while (next < contacts_.size() && contacts_[next].part <= static_cast<std::int32_t>(k)) ++next;
-    wall_end_[k] = next;
     totals_[k] = WallTotals{};
   }
 }
@@ -715,7 +625,7 @@ PilePoint Pile::closest(const Vec3& point) const {
 // The pile is one convex body: the spring goes with the pebble from face to rim to shaft. A pebble that is pushed out
 // through another surface than before starts with a new one.
 PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits,
-                         Team& team, const Partition& partition) {
+                         Team& team, const Partition& partition, const WallKernels& kernels) {
   if (!candidates_.is_fresh(limits, particles.pebble_count())) {
     largest_radius_ = particles.largest_radius();
     const double allowance = velocity_ != 0 ? wall_allowance * particles.mean_radius() : 0.0;
@@ -726,32 +636,32 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
                                closest(x).distance < reach;
                       });
   }
-  std::swap(contacts_, previous_);
-  contacts_.clear();
-  if (candidates_.size() > 0) {
-    parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
-    team.run_parts(partition.parts(team.size()), [&](int k) {
-      std::vector<WallContact>& contacts = parts_[static_cast<std::size_t>(k)];
-      contacts.clear();
+  const int parts = partition.parts(team.size());
+  contacts_.begin(1, parts);
+  if (candidates_.size() > 0)
+    team.run_parts(parts, [&](int k) {
+      WallContacts::Part& part = contacts_.part(k);
       const PebbleRange range = pebbles_of_part(particles, partition, team.size(), k);
       const auto [first, last] = candidates_.within(range);
-      Springs springs(previous_, range.begin);
-      const auto velocity_at = [&](const Vec3&) -> Vec3 { return {0, 0, velocity_}; };
       for (std::size_t i = first; i < last; ++i) {
         const std::int32_t p = candidates_.pebble(i);
         const PilePoint at = closest(particles.pebble_center(p));
         const double overlap = particles.pebble_radius(p) - at.distance;
-        if (!(overlap > 0)) continue;
-        contacts.push_back(press(particles, p, static_cast<std::int32_t>(at.part), at.outward_normal, overlap,
-                                 velocity_at, material, friction_, dt, springs.of(p, at.outward_normal)));
+        if (overlap > 0) part.add_touch(p, at.outward_normal, overlap, static_cast<std::int32_t>(at.part));
       }
+      contacts_.press(part, 0, range.begin, kernels, particles, law_of(material, friction_, dt),
+                      motion_of(Vec3::Zero(), {0, 0, velocity_}, Vec3::Zero()));
     });
-    for (const auto& part : parts_) contacts_.insert(contacts_.end(), part.begin(), part.end());
-  }
+  contacts_.end();
 
+  WallSums tip, shaft;
+  const Vec3 axis = Vec3::Zero();
+  contacts_.for_each(0, [&](const WallPress& contact) {
+    const bool is_shaft = contact.part == static_cast<std::int32_t>(PilePart::Shaft);
+    kernels.add_up(&contact, 1, axis.data(), is_shaft ? shaft : tip);
+  });
   PileTotals totals;
-  for (const WallContact& contact : contacts_)
-    (contact.part == static_cast<std::int32_t>(PilePart::Shaft) ? totals.shaft : totals.tip).add(contact);
+  totals.tip = totals_of(tip), totals.shaft = totals_of(shaft);
   totals.tip_force = totals.tip.force;
   totals.shaft_force = totals.shaft.force;
   totals.tip_stiffness = totals.tip.stiffness;
@@ -767,7 +677,7 @@ void Pile::advance(double dt) {
 void Pile::hash(Hash& h) const {
   h.add(tip_z_);
   h.add(velocity_);
-  add_contacts(h, contacts_);
+  contacts_.hash(h);
 }
 
 void Pile::clear_history() {
@@ -775,10 +685,10 @@ void Pile::clear_history() {
   candidates_.forget();
 }
 
-void Pile::restore(double tip_z, double velocity, std::vector<WallContact> contacts) {
+void Pile::restore(double tip_z, double velocity, const std::vector<WallContact>& contacts) {
   tip_z_ = tip_z;
   velocity_ = velocity;
-  contacts_ = std::move(contacts);
+  contacts_.restore(1, contacts);
   candidates_.forget();
 }
 

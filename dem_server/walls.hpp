@@ -21,8 +21,8 @@
 // WORK of a wall on the grains over the step that led to t_n, as leap-frog has it: 1/2 (F(n-1) + F(n)) . v(n-1/2) dt,
 // with moments and servo likewise. For planes it is exact, so the ledger closes however a servo's speed jumps.
 //
-// THREADS. A thread presses the pebbles of its own bodies, walls in order and pebbles in order, and adds the forces to
-// these alone; totals are then added up by one, in order of walls and pebbles. The bits are those of one thread.
+// THREADS. A thread presses the pebbles of its own bodies, walls in order and pebbles in order (wall_contacts.hpp), and adds
+// the forces to these alone; totals are then added up by one, in order of walls and pebbles. The bits are those of one thread.
 #pragma once
 #include <array>
 #include <cstddef>
@@ -42,51 +42,10 @@
 #include "dem_server/travel.hpp"
 #include "dem_server/triangle_mesh.hpp"
 #include "dem_server/wall_candidates.hpp"
+#include "dem_server/wall_contacts.hpp"
 #include "dem_server/wall_shapes.hpp"
 
 namespace lockstep::dem {
-
-// A contact of a pebble with a wall.
-struct WallContact {
-  std::int32_t pebble = -1;
-  std::int32_t body = -1;
-  std::int32_t part = 0;        // wall's index, or PilePart
-  Vec3 point = Vec3::Zero();    // middle of the overlap [m]
-  double overlap = 0;           // [m]
-  double overlap_ratio = 0;     // over the pebble's radius
-  double normal_stiffness = 0;  // [N/m]
-  double shear_stiffness = 0;   // [N/m]
-  Vec3 force = Vec3::Zero();    // on the grain [N]
-  double normal_force = 0;      // |F_n| [N]
-  double elastic_energy = 0;    // [J]
-  double slip_work = 0;         // taken out by sliding in this step [J]
-  double dashpot_work = 0;      // taken out by the dashpot in this step [J]
-  double power = 0;             // of the wall on the grain [W]
-  ContactHistory history;
-
-  ContactView view() const {
-    return {body, -1, point, history.normal, overlap, normal_stiffness, shear_stiffness, force};
-  }
-};
-
-// What the contacts with a wall, or with a part of it, add up to in one step.
-struct WallTotals {
-  std::size_t contacts = 0;
-  Vec3 force = Vec3::Zero();   // on the wall [N]
-  Vec3 torque = Vec3::Zero();  // on the wall about its centre [N m]; a sum over walls has none
-  double normal_force = 0;     // sum of |F_n| [N]
-  double pressing = 0;         // sum of F_grain . d along the servo's direction; 0 without a servo [N]
-  double stiffness = 0;        // sum of k_n [N/m]
-  double elastic_energy = 0;   // [J]
-  double slip_work = 0;        // taken out by sliding in this step [J]
-  double dashpot_work = 0;     // taken out by dashpots in this step [J]
-  double power = 0;            // of the wall on the grains, sum of F_grain . v_wall [W]
-  double work = 0;             // of the wall on the grains over the step that led to t_n; not of the pile [J]
-  double max_overlap = 0;      // largest U / R of a pebble
-
-  void add(const WallContact& contact);
-  WallTotals& operator+=(const WallTotals& other);
-};
 
 // -------------------------------------------------------------------------------------------------------- walls
 
@@ -173,7 +132,8 @@ class Walls {
   // Contacts at t_n: adds force and torque to the bodies. `dt` is the step over which springs have grown [s]. The
   // walls' friction replaces the material's.
   WallTotals compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits = {},
-                     Team& team = Team::alone(), const Partition& partition = {});
+                     Team& team = Team::alone(), const Partition& partition = {},
+                     const WallKernels& kernels = wall_kernels(best_instructions()));
   // Servos choose their speeds from the last compute(), then x += v dt.
   void advance(double dt);
 
@@ -190,10 +150,10 @@ class Walls {
   double pressure(std::size_t wall) const;               // on its servo's area, of the last compute() [Pa]
   // Largest |p - target| / target over all servos that work; 0 without.
   double worst_servo_error() const;
-  const std::vector<WallContact>& contacts() const { return contacts_; }  // by wall, then pebble
+  std::vector<WallContact> contacts() const { return contacts_.all(); }  // by wall, then pebble
   template <class Visitor>
   void for_each_contact(Visitor&& visit) const {
-    for (const WallContact& contact : contacts_) visit(contact.view());
+    contacts_.for_each_contact([&](const WallContact& contact) { visit(contact.view()); });
   }
   // Pebbles that the last compute() looked at, over all walls, and how often lists were made.
   std::size_t candidates() const;
@@ -205,7 +165,7 @@ class Walls {
   // Springs of an earlier run, as contacts() gave them, and walls where they stood: the next compute() carries on from
   // there.
   std::vector<WallState> states() const;
-  void restore(const std::vector<WallState>& states, std::vector<WallContact> contacts);
+  void restore(const std::vector<WallState>& states, const std::vector<WallContact>& contacts);
 
  private:
   struct Wall {
@@ -223,10 +183,8 @@ class Walls {
     WallCandidates candidates;
     double lever = 0;  // farthest that a pebble can be from the centre [m]
   };
-  // What a thread has pressed: contacts of wall k end at wall_end[k].
-  struct Part {
-    std::vector<WallContact> contacts;
-    std::vector<std::size_t> wall_end;
+  // Of a thread.
+  struct MeshScratch {
     TriangleMesh::Scratch scratch;
     std::vector<MeshContact> found;
   };
@@ -236,9 +194,14 @@ class Walls {
   bool is_moving(const Wall& wall) const;
   double length_between_planes(const Wall& wall, const FrustumShape& tube) const;
   void renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team, const Partition& partition);
-  void press(Particles& particles, const GrainMaterial& material, double dt, const PebbleRange& range, Part& part);
-  void gather();
-  void add_up(std::size_t wall, double dt);
+  template <class Shape>
+  void find_touches(const Wall& wall, std::int32_t index, const Shape& shape, const PebbleRange& range,
+                    const WallKernels& kernels, Particles& particles, MeshScratch& mesh,
+                    WallContacts::Part& part) const;
+  template <class Shape>
+  void add_servo_speed(const Wall& wall, const Shape& shape, const Particles& particles,
+                       WallContacts::Part& part) const;
+  void add_up(std::size_t wall, double dt, const WallKernels& kernels);
   void apply_servo_way(Wall& wall);
 
   std::vector<Wall> walls_;
@@ -246,14 +209,11 @@ class Walls {
   double friction_share_ = 1;
   bool velocities_count_ = true;
   bool servos_count_ = true;
-  double largest_radius_ = 0;          // of the grains, when lists were last made [m]
-  double one_contact_stiffness_ = 0;   // of the largest grain [N/m]
-  std::vector<WallContact> contacts_;  // by wall, then pebble
-  std::vector<std::size_t> wall_end_;  // of contacts_
-  std::vector<WallContact> previous_;
-  std::vector<std::size_t> previous_end_;
+  double largest_radius_ = 0;         // of the grains, when lists were last made [m]
+  double one_contact_stiffness_ = 0;  // of the largest grain [N/m]
+  WallContacts contacts_;
   std::vector<WallTotals> totals_;
-  std::vector<Part> parts_;  // one a thread
+  std::vector<MeshScratch> mesh_scratch_;
 };
 
 // --------------------------------------------------------------------------------------------------------- pile
@@ -312,21 +272,22 @@ class Pile {
 
   // As for Walls; the pile's friction replaces the material's.
   PileTotals compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits = {},
-                     Team& team = Team::alone(), const Partition& partition = {});
+                     Team& team = Team::alone(), const Partition& partition = {},
+                     const WallKernels& kernels = wall_kernels(best_instructions()));
   // tip_z += v dt.
   void advance(double dt);
 
-  const std::vector<WallContact>& contacts() const { return contacts_; }  // by pebble
+  std::vector<WallContact> contacts() const { return contacts_.all(); }  // by pebble
   template <class Visitor>
   void for_each_contact(Visitor&& visit) const {
-    for (const WallContact& contact : contacts_) visit(contact.view());
+    contacts_.for_each_contact([&](const WallContact& contact) { visit(contact.view()); });
   }
   std::size_t candidates() const { return candidates_.size(); }  // pebbles that the last compute() looked at
   std::uint64_t renewals() const { return candidates_.renewals(); }
 
   void hash(Hash& h) const;
   void clear_history();
-  void restore(double tip_z, double velocity, std::vector<WallContact> contacts);
+  void restore(double tip_z, double velocity, const std::vector<WallContact>& contacts);
 
  private:
   PileShape shape_;
@@ -339,9 +300,7 @@ class Pile {
   double velocity_ = 0;        // [m/s]
   double friction_ = 0;        // [-]
   WallCandidates candidates_;
-  std::vector<WallContact> contacts_;
-  std::vector<WallContact> previous_;
-  std::vector<std::vector<WallContact>> parts_;  // one a thread
+  WallContacts contacts_;
 };
 
 }  // namespace lockstep::dem
