@@ -68,14 +68,45 @@ LOCKSTEP_INLINE Lanes compliance(const YieldBlock& z, int l, const Tensor& a, co
   return half * product(a, b) - isotropic * (trace(a) * trace(b));
 }
 
+LOCKSTEP_INLINE Lanes determinant(const Tensor& t) {
+  return t.v[0] * (t.v[1] * t.v[2] - t.v[4] * t.v[4]) - t.v[3] * (t.v[3] * t.v[2] - t.v[4] * t.v[5]) +
+         t.v[5] * (t.v[3] * t.v[4] - t.v[1] * t.v[5]);
+}
+
+// A bound of F / 2 + c cos phi without principal axes, at most 2 % of sqrt(J2) above it. With Lode's angle t, cos 3t = (3 sqrt(3) / 2) J3 / J2^(3/2),
+//   F / 2 + c cos phi = sin phi p + sqrt(J2) K,  K = sin(t + 60) + a cos(t + 60),  a = sin phi / sqrt(3),
+// where p is the mean stress. As a function of cos 3t, K is concave for any phi, so that each tangent lies above it: here
+// those at five angles t. A share of 1e-6 is added, since the law's principal stresses may err by 1e-8.
+LOCKSTEP_INLINE Lanes largest_shear(Lanes sine, Lanes mean, const Tensor& deviator) {
+  struct Tangent {
+    double at, slope;  // of c + d x, x = cos 3t: c + c_a a and d + d_a a
+    double at_a, slope_a;
+  };
+  // t = 58, 52, 40, 25, 8 degrees.
+  constexpr Tangent tangents[] = {
+      {2.3718554426050642, 1.4971091704268529, 2.3307568346935721, 2.8156528383344765},
+      {1.2076439160864954, 0.30700175801151003, 0.31955641775984267, 0.75985601522997948},
+      {1.0182263603856381, 0.066837214746860024, 0.015878162766946119, 0.37905268086775257},
+      {1.0039791350534022, -0.030076754817533181, -0.0018207788716247258, 0.34377888066173268},
+      {1.2076439160864951, -0.30700175801150997, -0.319556417759842, 0.75985601522997892}};
+  constexpr double least = 1e-300;  // [Pa2]: keeps 0/0 out
+  const Lanes square = larger(lanes(0.5) * product(deviator, deviator), lanes(least)), root = square_root(square);
+  const Lanes a = lanes(0.57735026918962576) * sine;
+  const Lanes cubic = lanes(2.5980762113533160) * determinant(deviator) / square;  // sqrt(J2) cos 3t
+  Lanes bound = root * square_root(lanes(1) + a * a);
+  for (const Tangent& t : tangents)
+    bound = smaller(bound, (t.at + t.at_a * a) * root + (t.slope + t.slope_a * a) * cubic);
+  const Lanes pressing = sine * mean, size = larger(pressing, -pressing) + root;
+  return pressing + bound + lanes(1e-6) * size;
+}
+
 struct Sums {
   Sum8 energy, dissipated;
   std::int64_t yielding = 0;
 };
 
 // The stress of elastic law and plastic stress goes back to the yield surface where it lies beyond, and the plastic stress
-// takes the difference. A zone is surely within if sin phi p + sqrt(J2) sqrt(1 + sin^2 phi / 3) <= c cos phi, p the mean
-// stress: the left side is the largest F / 2 of all angles of Lode. The others ask the law.
+// takes the difference. Zones that are not surely within ask the law.
 LOCKSTEP_INLINE void yield_part(const PartStrain& s, YieldBlock& z, int l, Mask holds,
                                 const YieldingMaterial* materials, Sums& sums) {
   const Lanes shear = load(z.shear + l), bulk = load(z.bulk + l), sine = load(z.friction + l), third = lanes(1.0 / 3);
@@ -93,8 +124,7 @@ LOCKSTEP_INLINE void yield_part(const PartStrain& s, YieldBlock& z, int l, Mask 
   Tensor deviator = stress;
 #pragma GCC unroll 3
   for (int c = 0; c < 3; ++c) deviator.v[c] -= mean;
-  const Lanes square = lanes(0.5) * product(deviator, deviator) * (lanes(1) + third * sine * sine);
-  const Mask may_yield = holds & (sine * mean + square_root(square) > load(z.strength + l));
+  const Mask may_yield = holds & (largest_shear(sine, mean, deviator) > load(z.strength + l));
   if (!any(may_yield)) return;
   int yielding = 0;
   for (unsigned left = bits(may_yield); left != 0; left &= left - 1) {
