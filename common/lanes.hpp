@@ -28,7 +28,8 @@ using Pair [[gnu::vector_size(16)]] = double;
 
 #define LOCKSTEP_INLINE inline __attribute__((always_inline))
 
-LOCKSTEP_INLINE Lanes lanes(double value) { return value - Lanes{}; }  // keeps the sign of a zero
+// Less zero, which changes no value and costs nothing; plus zero would lose a zero's sign, and so is added.
+LOCKSTEP_INLINE Lanes lanes(double value) { return value - Lanes{}; }
 LOCKSTEP_INLINE Lanes load(const double* from) { return *reinterpret_cast<const Lanes*>(from); }
 LOCKSTEP_INLINE void store(double* to, Lanes value) { *reinterpret_cast<Lanes*>(to) = value; }
 // The same for any address of a double.
@@ -37,7 +38,7 @@ LOCKSTEP_INLINE Lanes loose(const double* from) { return *reinterpret_cast<const
 LOCKSTEP_INLINE void store_loose(double* to, Lanes value) { *reinterpret_cast<LooseLanes*>(to) = value; }
 LOCKSTEP_INLINE Row row(const double* from) { return *reinterpret_cast<const Row*>(from); }
 LOCKSTEP_INLINE void add_row(double* to, Row value) { *reinterpret_cast<Row*>(to) += value; }
-LOCKSTEP_INLINE Row spread(double value) { return Row{} + value; }
+LOCKSTEP_INLINE Row spread(double value) { return value - Row{}; }
 
 LOCKSTEP_INLINE Lanes select(Mask which, Lanes yes, Lanes no) { return which ? yes : no; }
 LOCKSTEP_INLINE Lanes larger(Lanes a, Lanes b) { return a > b ? a : b; }
