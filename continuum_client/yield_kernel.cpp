@@ -73,7 +73,8 @@ LOCKSTEP_INLINE Lanes determinant(const Tensor& t) {
          t.v[5] * (t.v[3] * t.v[4] - t.v[1] * t.v[5]);
 }
 
-// A bound of F / 2 + c cos phi without principal axes, at most 2 % of sqrt(J2) above it. With Lode's angle t, cos 3t = (3 sqrt(3) / 2) J3 / J2^(3/2),
+// A bound of F / 2 + c cos phi without principal axes, at most 3.5 % of sqrt(J2) above it (1.7 % at phi = 35 degrees). With
+// Lode's angle t, cos 3t = (3 sqrt(3) / 2) J3 / J2^(3/2),
 //   F / 2 + c cos phi = sin phi p + sqrt(J2) K,  K = sin(t + 60) + a cos(t + 60),  a = sin phi / sqrt(3),
 // where p is the mean stress. As a function of cos 3t, K is concave for any phi, so that each tangent lies above it: here
 // those at five angles t. A share of 1e-6 is added, since the law's principal stresses may err by 1e-8.

@@ -110,10 +110,9 @@ void check_initial_yield(const Grid& grid, const std::vector<char>& is_included,
     const Vec3 x = grid.zone_center(z);
     throw InputError(fmt::format(
         "{}: the ground cannot bear its own initial stress: in zone {} at ({:.4g}, {:.4g}, {:.4g}) m the vertical "
-        "stress "
-        "is {:.4g} Pa and the horizontal one {:.4g} Pa, {:.3g} Pa of shear too much; give a horizontal stress nearer "
-        "to "
-        "the vertical one (initial_stress.k0, or poisson_ratio without it), a larger friction_angle or a cohesion",
+        "stress is {:.4g} Pa and the horizontal one {:.4g} Pa, {:.3g} Pa of shear too much; give a horizontal stress "
+        "nearer to the vertical one (initial_stress.k0, or poisson_ratio without it), a larger friction_angle or a "
+        "cohesion",
         where, z, x.x(), x.y(), x.z(), stress(2, 2), stress(0, 0), excess));
   }
 }
