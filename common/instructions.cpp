@@ -14,9 +14,10 @@ constexpr std::array<std::pair<std::string_view, InstructionSet>, 3> names = {
 
 bool has(InstructionSet set) {
 #if !defined(LOCKSTEP_GENERIC_KERNELS_ONLY)
-  if (set == InstructionSet::Avx2) return __builtin_cpu_supports("avx2");
+  const bool has_avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+  if (set == InstructionSet::Avx2) return has_avx2;
   if (set == InstructionSet::Avx512)
-    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+    return has_avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
            __builtin_cpu_supports("avx512vl");
 #endif
   return set == InstructionSet::Generic;

@@ -1,8 +1,9 @@
 // Vectors of doubles, as wide as the instruction set that this is compiled for: 8, 4 or 2 lanes. Included only by
 // kernels that are compiled once for each instruction set; everything is local to the file that includes it.
 //
-// All arithmetic is that of single doubles, lane by lane, without contraction: any width gives the same bits. Sums over
-// lanes are kept as eight partial sums whatever the width (Sum8).
+// All arithmetic is that of single doubles, lane by lane, and contracts nothing by itself: any width gives the same bits.
+// Only multiply_add() and what is made of it round once where the instruction set can (AVX2, AVX-512), twice where it cannot:
+// kernels that use them have other last bits there. Sums over lanes are kept as eight partial sums whatever the width (Sum8).
 #pragma once
 #if defined(__SSE2__)
 #include <immintrin.h>
@@ -41,8 +42,17 @@ LOCKSTEP_INLINE void add_row(double* to, Row value) { *reinterpret_cast<Row*>(to
 LOCKSTEP_INLINE Row spread(double value) { return value - Row{}; }
 
 LOCKSTEP_INLINE Lanes select(Mask which, Lanes yes, Lanes no) { return which ? yes : no; }
+// a > b ? a : b and a < b ? a : b, also where one is no number.
+#if defined(__AVX512F__)
+LOCKSTEP_INLINE Lanes larger(Lanes a, Lanes b) { return _mm512_max_pd(a, b); }
+LOCKSTEP_INLINE Lanes smaller(Lanes a, Lanes b) { return _mm512_min_pd(a, b); }
+#elif defined(__AVX2__)
+LOCKSTEP_INLINE Lanes larger(Lanes a, Lanes b) { return _mm256_max_pd(a, b); }
+LOCKSTEP_INLINE Lanes smaller(Lanes a, Lanes b) { return _mm256_min_pd(a, b); }
+#else
 LOCKSTEP_INLINE Lanes larger(Lanes a, Lanes b) { return a > b ? a : b; }
 LOCKSTEP_INLINE Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
+#endif
 
 LOCKSTEP_INLINE Lanes square_root(Lanes x) {
 #if defined(__AVX512F__)
@@ -56,6 +66,17 @@ LOCKSTEP_INLINE Lanes square_root(Lanes x) {
   return x;
 #endif
 }
+
+// a b + c, in one rounding where there is an instruction for it.
+#if defined(__AVX512F__)
+LOCKSTEP_INLINE Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return _mm512_fmadd_pd(a, b, c); }
+#endif
+#if defined(__AVX2__)
+LOCKSTEP_INLINE Row multiply_add(Row a, Row b, Row c) { return _mm256_fmadd_pd(a, b, c); }
+#else
+LOCKSTEP_INLINE Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return a * b + c; }
+LOCKSTEP_INLINE Row multiply_add(Row a, Row b, Row c) { return a * b + c; }
+#endif
 
 LOCKSTEP_INLINE bool any(Mask m) {
 #if defined(__AVX512F__)
@@ -93,6 +114,20 @@ LOCKSTEP_INLINE Lanes3 operator*(Lanes s, const Lanes3& a) { return {s * a.x, s 
 LOCKSTEP_INLINE Lanes dot(const Lanes3& a, const Lanes3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 LOCKSTEP_INLINE Lanes3 cross(const Lanes3& a, const Lanes3& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+LOCKSTEP_INLINE Lanes3 multiply_add(Lanes s, const Lanes3& a, const Lanes3& b) {  // s a + b
+  return {multiply_add(s, a.x, b.x), multiply_add(s, a.y, b.y), multiply_add(s, a.z, b.z)};
+}
+LOCKSTEP_INLINE Lanes fused_dot(const Lanes3& a, const Lanes3& b) {
+  return multiply_add(a.z, b.z, multiply_add(a.y, b.y, a.x * b.x));
+}
+LOCKSTEP_INLINE Lanes3 fused_cross(const Lanes3& a, const Lanes3& b) {
+  return {multiply_add(a.y, b.z, -(a.z * b.y)), multiply_add(a.z, b.x, -(a.x * b.z)),
+          multiply_add(a.x, b.y, -(a.y * b.x))};
+}
+LOCKSTEP_INLINE Lanes3 cross_add(const Lanes3& a, const Lanes3& b, const Lanes3& c) {  // a x b + c
+  return {multiply_add(a.y, b.z, multiply_add(-a.z, b.y, c.x)), multiply_add(a.z, b.x, multiply_add(-a.x, b.z, c.y)),
+          multiply_add(a.x, b.y, multiply_add(-a.y, b.x, c.z))};
 }
 LOCKSTEP_INLINE Lanes3 select(Mask which, const Lanes3& yes, const Lanes3& no) {
   return {select(which, yes.x, no.x), select(which, yes.y, no.y), select(which, yes.z, no.z)};

@@ -327,10 +327,13 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
       if (has_marks) {
         const double used = std::sqrt(squared_distance(record[p], mark)) + growth;
         const bool is_fast = !(used <= 0.5 * ended_skin);
-        const double outer_used = std::sqrt(squared_distance(record[p], outer_marks_[p])) + outer_growth;
-        const double wanted = std::max(limit_margin * used, limit_memory * mark.radius);
-        limit = is_fast ? 0.5 * outer_reach_ - outer_used : std::clamp(wanted, tightest, widest);
-        reach = is_fast ? far_away : record[p].radius + limit;
+        if (is_fast) {
+          limit = 0.5 * outer_reach_ - std::sqrt(squared_distance(record[p], outer_marks_[p])) - outer_growth;
+          reach = far_away;
+        } else {
+          limit = std::clamp(std::max(limit_margin * used, limit_memory * mark.radius), tightest, widest);
+          reach = record[p].radius + limit;
+        }
       }
       reach_[p] = reach;
       mark = record[p];
@@ -459,9 +462,7 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
   traits.has_dashpot = material.damping_ratio > 0;
   traits.is_periodic = period_.has_value();
   traits.detail = detail;
-  const PairKernel free_kernel = LOCKSTEP_KERNEL_FOR(instructions_, pair_kernel)(traits);
-  traits.is_bounded = true;
-  const PairKernel bounded_kernel = LOCKSTEP_KERNEL_FOR(instructions_, pair_kernel)(traits);
+  const PairKernels kernels = LOCKSTEP_KERNEL_FOR(instructions_, pair_kernel)(traits);
   const PairLaw law = {material.contact_modulus,
                        1 / material.stiffness_ratio,
                        material.friction,
@@ -470,26 +471,36 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
                        strain_rate_.x(),
                        strain_rate_.y(),
                        strain_rate_.z()};
-  const auto stretch = [](Chunk& chunk, std::size_t begin, std::size_t end) {
-    return PairStretch{chunk.pairs.data() + begin, chunk.bodies.data() + (chunk.bodies.empty() ? 0 : begin),
-                       chunk.shifts.data() + (chunk.shifts.empty() ? 0 : begin), chunk.springs.data() + begin,
-                       end - begin};
+  const auto stretch = [](Chunk& chunk) {
+    return PairStretch{chunk.pairs.data(), chunk.bodies.data(), chunk.shifts.data(), chunk.springs.data(),
+                       chunk.pairs.size()};
   };
+  const Particles& grains = particles;
+  if (grains.has_clumps() && !grains.has_twists()) {
+    particles.room_for_twists();
+    team.run_parts(partition_.size(), [&](int part) {
+      const auto p = static_cast<std::size_t>(part);
+      kernels.make_twists(grains.bodies(), grains.motion(), particles.twists(), partition_.body_begin[p],
+                          partition_.body_begin[p + 1]);
+    });
+    particles.twists_are_made();
+  }
   team.run_parts(partition_.size(), [&](int part) {
     const auto p = static_cast<std::size_t>(part);
-    const PairState state = {particles.pebbles(), particles.bodies(),       particles.motion(),
-                             particles.loads(),   partition_.body_begin[p], partition_.body_begin[p + 1]};
+    const PairState state = {grains.pebbles(),
+                             grains.bodies(),
+                             grains.motion(),
+                             grains.twists(),
+                             particles.loads(),
+                             partition_.body_begin[p],
+                             partition_.body_begin[p + 1]};
     PairSums counted_elsewhere;
-    bounded_kernel(state, stretch(borders_[p], 0, borders_[p].pairs.size()), law, counted_elsewhere);
+    kernels.bounded(state, stretch(borders_[p]), law, counted_elsewhere);
     for (std::size_t c = part_chunk_[p]; c < part_chunk_[p + 1]; ++c) {
       Chunk& chunk = chunks_[c];
       sums_[c] = PairSums{};
-      if (chunk.pairs.empty()) continue;
-      // The last tile may hold entries of nobody.
-      const std::size_t last = chunk.pairs.size() - 1;
       const bool crosses = chunk.last_body >= state.end_body;
-      (crosses ? bounded_kernel : free_kernel)(state, stretch(chunk, 0, last), law, sums_[c]);
-      bounded_kernel(state, stretch(chunk, last, last + 1), law, sums_[c]);
+      (crosses ? kernels.bounded : kernels.free)(state, stretch(chunk), law, sums_[c]);
     }
   });
 

@@ -18,7 +18,7 @@ MotionTotals added_up(const std::vector<MotionSums>& chunks) {
   double square = 0;
   totals.ways.reserve(chunks.size());
   for (const MotionSums& sums : chunks) {
-    totals.ways.push_back(std::sqrt(sums.way_square));
+    totals.ways.push_back(sums.way);
     totals.translation_energy += sums.translation_energy;
     totals.rotation_energy += sums.rotation_energy;
     totals.gravity_work += sums.gravity_work;
@@ -59,16 +59,28 @@ MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_st
     const std::int32_t body = options.partition->body_begin[static_cast<std::size_t>(part)];
     return (static_cast<std::size_t>(body) + chunk_bodies - 1) / chunk_bodies;
   };
+  particles.room_for_twists();
+  const bool has_clumps = particles.has_clumps();
+  const MotionStretch all = {particles.bodies(),
+                             particles.motion(),
+                             particles.loads(),
+                             particles.attitudes(),
+                             particles.pebble_begins(),
+                             particles.offsets(),
+                             has_clumps ? particles.pebbles() : nullptr,
+                             particles.twists(),
+                             options.fixed ? options.fixed->data() : nullptr,
+                             0,
+                             static_cast<std::int32_t>(bodies)};
   team.run_parts(parts, [&](int part) {
     for (std::size_t c = first_chunk(part); c < first_chunk(part + 1); ++c) {
-      const auto begin = static_cast<std::int32_t>(c * chunk_bodies);
-      const auto end = static_cast<std::int32_t>(std::min((c + 1) * chunk_bodies, bodies));
-      kernel({particles.bodies(), particles.motion(), particles.loads(), particles.attitudes(),
-              particles.pebble_begins(), particles.offsets(), particles.has_clumps() ? particles.pebbles() : nullptr,
-              options.fixed ? options.fixed->data() : nullptr, begin, end},
-             step, sums[c]);
+      MotionStretch stretch = all;
+      stretch.begin = static_cast<std::int32_t>(c * chunk_bodies);
+      stretch.end = static_cast<std::int32_t>(std::min((c + 1) * chunk_bodies, bodies));
+      kernel(stretch, step, sums[c]);
     }
   });
+  if (has_clumps) particles.twists_are_made();
   return added_up(sums);
 }
 

@@ -678,7 +678,7 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
   part.contacts.clear(), part.shares.clear(), part.sums.clear();
   part.tunnelled = 0;
   const std::int32_t* const facet_of = candidates_.extras().data();
-  const FacetSurface surface = {particles.pebbles(), nodes_.data(), boxes_.data(),
+  const FacetSurface surface = {std::as_const(particles).pebbles(), nodes_.data(), boxes_.data(),
                                 reinterpret_cast<const std::int32_t(*)[4]>(facet_nodes_.data())};
   const FacetPairs pairs = {pair_pebble_.data(), facet_of};
   const auto [first_candidate, end_candidate] = candidates_.within(range);
@@ -721,8 +721,8 @@ void InterfaceFacets::find_contacts(Particles& particles, const FacetMaterial& m
     end = end_of_block(begin);
     for (; fetched < std::min(end + pairs_ahead, count); ++fetched) {
       const std::int32_t body = pair_body_[near[fetched]];
-      __builtin_prefetch(&particles.bodies()[body]);
-      __builtin_prefetch(&particles.motion()[body]);
+      __builtin_prefetch(&std::as_const(particles).bodies()[body]);
+      __builtin_prefetch(&std::as_const(particles).motion()[body]);
       __builtin_prefetch(&particles.loads()[body], 1);
     }
     const auto room = static_cast<std::size_t>(end - begin + facet_block);

@@ -12,7 +12,7 @@ constexpr double largest_square = 1e300;  // [rad2/s2]: more is no number
 struct Sums {
   Sum8 translation, rotation, gravity_work, damped_work, contact_work, unbalanced, mass, square;
   Sum8 damping_force[3], momentum[3], momentum_change[3];
-  Row way_squares{};  // of clumps' pebbles, the largest of each component
+  Sum8 turn_square;  // of clumps' pebbles about their centres [m2]
 };
 
 LOCKSTEP_INLINE void add(Sum8* sums, int begin, const Lanes3& v) {
@@ -33,18 +33,18 @@ LOCKSTEP_INLINE Lanes3 damping_part(const Lanes3& force, const Lanes3& velocity,
 
 struct Rotation {  // columns: images of the body's axes
   Lanes3 x, y, z;
-  LOCKSTEP_INLINE Lanes3 to_world(const Lanes3& v) const { return v.x * x + v.y * y + v.z * z; }
-  LOCKSTEP_INLINE Lanes3 to_body(const Lanes3& v) const { return {dot(x, v), dot(y, v), dot(z, v)}; }
+  LOCKSTEP_INLINE Lanes3 to_world(const Lanes3& v) const { return multiply_add(v.z, z, multiply_add(v.y, y, v.x * x)); }
+  LOCKSTEP_INLINE Lanes3 to_body(const Lanes3& v) const { return {fused_dot(x, v), fused_dot(y, v), fused_dot(z, v)}; }
 };
 
 // Of a unit quaternion (x, y, z, w).
 LOCKSTEP_INLINE Rotation rotation_of(const Lanes4& q) {
   const Lanes tx = q.x + q.x, ty = q.y + q.y, tz = q.z + q.z;
-  const Lanes wx = tx * q.w, wy = ty * q.w, wz = tz * q.w, xx = tx * q.x, xy = ty * q.x, xz = tz * q.x, yy = ty * q.y,
-              yz = tz * q.y, zz = tz * q.z;
-  const Lanes one = lanes(1);
-  return {
-      {one - (yy + zz), xy + wz, xz - wy}, {xy - wz, one - (xx + zz), yz + wx}, {xz + wy, yz - wx, one - (xx + yy)}};
+  const Lanes wx = tx * q.w, wy = ty * q.w, wz = tz * q.w;
+  const Lanes no_xx = multiply_add(-tx, q.x, lanes(1)), no_yy = multiply_add(-ty, q.y, lanes(1));
+  return {{multiply_add(-tz, q.z, no_yy), multiply_add(tx, q.y, wz), multiply_add(tx, q.z, -wy)},
+          {multiply_add(tx, q.y, -wz), multiply_add(-tz, q.z, no_xx), multiply_add(ty, q.z, wx)},
+          {multiply_add(tx, q.z, wy), multiply_add(ty, q.z, -wx), multiply_add(-ty, q.y, no_xx)}};
 }
 
 // Turns the body about its own axis `k` by Cayley's map: `turn` is multiplied by (1, angle/2) from the right, and the
@@ -53,64 +53,94 @@ LOCKSTEP_INLINE void turn_about_axis(Lanes angle, Lanes& w, Lanes& v_i, Lanes& v
                                      Lanes& p_j) {
   const Lanes t = 0.5 * angle, one = lanes(1);
   const Lanes w0 = w, i0 = v_i, j0 = v_j, k0 = v_k;
-  w = w0 - t * k0;
-  v_k = k0 + t * w0;
-  v_i = i0 + t * j0;
-  v_j = j0 - t * i0;
-  const Lanes scale = one / (one + t * t);
-  const Lanes cosine = (one - t * t) * scale, sine = 2 * t * scale;
+  w = multiply_add(-t, k0, w0);
+  v_k = multiply_add(t, w0, k0);
+  v_i = multiply_add(t, j0, i0);
+  v_j = multiply_add(-t, i0, j0);
+  const Lanes scale = one / multiply_add(t, t, one);
+  const Lanes cosine = multiply_add(-t, t, one) * scale, sine = (t + t) * scale;
   const Lanes pi0 = p_i, pj0 = p_j;
-  p_i = cosine * pi0 + sine * pj0;
-  p_j = cosine * pj0 - sine * pi0;
+  p_i = multiply_add(sine, pj0, cosine * pi0);
+  p_j = multiply_add(-sine, pi0, cosine * pj0);
 }
 
 // Torque-free turn for `dt` with the angular momentum held; `p` is it in body axes, before and after, and `mobility`
 // has 1/I. The turn about the momentum leaves p as it is. Quaternions are composed without regard to their lengths, and
-// the product is made unit.
-LOCKSTEP_INLINE Lanes4 turned_freely(const Lanes4& q, Lanes3& p, const Lanes3& mobility, double dt) {
+// the product is made unit. `turn_square` is how far a point at unit distance goes, squared.
+LOCKSTEP_INLINE Lanes4 turned_freely(const Lanes4& q, Lanes3& p, const Lanes3& mobility, Mask is_axisymmetric,
+                                     double dt, Lanes& turn_square) {
   Lanes w = lanes(1);
   const Lanes about_momentum = (0.5 * dt) * mobility.y;
   Lanes3 v = about_momentum * p;
   const Lanes rate_1 = mobility.x - mobility.y, rate_3 = mobility.z - mobility.y;
-  const Mask is_axisymmetric = mobility.z == mobility.y;
   const Lanes half = select(is_axisymmetric, lanes(dt), lanes(0.5 * dt));
   turn_about_axis(half * rate_1 * p.x, w, v.y, v.z, v.x, p.y, p.z);
   if (any(~is_axisymmetric)) {
-    turn_about_axis(dt * rate_3 * p.z, w, v.x, v.y, v.z, p.x, p.y);
+    turn_about_axis(select(is_axisymmetric, lanes(0), dt * rate_3 * p.z), w, v.x, v.y, v.z, p.x, p.y);
     turn_about_axis(select(is_axisymmetric, lanes(0), half * rate_1 * p.x), w, v.y, v.z, v.x, p.y, p.z);
   }
-  const Lanes4 r = {q.w * v.x + q.x * w + q.y * v.z - q.z * v.y, q.w * v.y + q.y * w + q.z * v.x - q.x * v.z,
-                    q.w * v.z + q.z * w + q.x * v.y - q.y * v.x, q.w * w - q.x * v.x - q.y * v.y - q.z * v.z};
-  const Lanes scale = lanes(1) / square_root(r.x * r.x + r.y * r.y + r.z * r.z + r.w * r.w);
-  return {scale * r.x, scale * r.y, scale * r.z, scale * r.w};
+  const Lanes3 a = {q.x, q.y, q.z};
+  const Lanes3 r = cross_add(a, v, multiply_add(q.w, v, w * a));
+  const Lanes r_w = multiply_add(q.w, w, -fused_dot(a, v));
+  const Lanes scale = lanes(1) / square_root(multiply_add(r_w, r_w, fused_dot(r, r)));
+  // A point at unit distance goes 2 sin(angle/2), and the sine is |v| over the length of (v, w), which is that of r.
+  turn_square = 4 * fused_dot(v, v) * (scale * scale);
+  return {scale * r.x, scale * r.y, scale * r.z, scale * r_w};
 }
 
-// Pebbles of `count` bodies, from their centres and the images of their axes.
-LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, std::int32_t first, int count, const Row* centers,
-                                   const Rotation& rotation, Row& way_squares) {
-  Row x[width], y[width], z[width];
-  transpose({rotation.x.x, rotation.x.y, rotation.x.z, Lanes{}}, x);
-  transpose({rotation.y.x, rotation.y.y, rotation.y.z, Lanes{}}, y);
-  transpose({rotation.z.x, rotation.z.y, rotation.z.z, Lanes{}}, z);
-  const Row place = {1, 1, 1, 0}, size = {0, 0, 0, 1};
-  Row most = way_squares;
-  for (int l = 0; l < count; ++l)
-    for (std::int32_t p = s.pebble_begin[first + l]; p < s.pebble_begin[first + l + 1]; ++p) {
-      const SphereRecord& o = s.offsets[p];
-      Row& pebble = *reinterpret_cast<Row*>(&s.pebbles[p].x);
-      const Row placed =
-          place * centers[l] + size * row(&o.x) + spread(o.x) * x[l] + spread(o.y) * y[l] + spread(o.z) * z[l];
-      const Row way = placed - pebble, squares = way * way;
-      most = squares > most ? squares : most;
-      pebble = placed;
-    }
-  way_squares = most;
+// 1/a, 1/b, 1/c, 1/d by one division, which takes as long as sixteen products.
+LOCKSTEP_INLINE Lanes4 inverses(Lanes a, Lanes b, Lanes c, Lanes d) {
+  const Lanes ab = a * b, cd = c * d, all = lanes(1) / (ab * cd);
+  const Lanes of_ab = all * cd, of_cd = all * ab;
+  return {of_ab * b, of_ab * a, of_cd * d, of_cd * c};
 }
 
-// `width` bodies from `first` on, in the lanes that begin at `begin`; fewer, `count`, at the end of a stretch.
+// `count` bodies whose pebbles are not yet placed, and the square of how far a point at unit distance was turned.
+struct Poses {
+  Rotation rotation;
+  Lanes3 center;
+  Lanes turn_square;
+  std::int32_t first;
+  int count = 0;
+};
+
+// The k-th pebbles of all bodies together; one that has fewer places its last again.
+template <bool is_whole>
+LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, const Poses& poses, int begin, Sum8& turn_square) {
+  const int count = is_whole ? width : poses.count;
+  const std::int32_t* first = s.pebble_begin + poses.first;
+  std::int32_t most = 0;
+  bool are_alike = true;
+  for (int l = 0; l < count; ++l) {
+    const std::int32_t pebbles = first[l + 1] - first[l];
+    are_alike &= pebbles == first[1] - first[0];
+    most = pebbles > most ? pebbles : most;
+  }
+  const Rotation& turned = poses.rotation;
+  Lanes farthest{};  // from the centres, squared
+  const auto place = [&](auto&& pebble_of) {
+    Row rows[width];
+    for (int l = 0; l < width; ++l) rows[l] = row(&s.offsets[pebble_of(is_whole || l < count ? l : 0)].x);
+    const Lanes4 o = transpose(rows);
+    farthest = larger(farthest, fused_dot({o.x, o.y, o.z}, {o.x, o.y, o.z}));
+    const Lanes3 at =
+        multiply_add(o.z, turned.z, multiply_add(o.y, turned.y, multiply_add(o.x, turned.x, poses.center)));
+    transpose({at.x, at.y, at.z, o.w}, rows);
+    for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.pebbles[pebble_of(l)].x) = rows[l];
+  };
+  if (is_whole && are_alike)
+    for (std::int32_t k = 0; k < most; ++k) place([&](int l) { return first[0] + l * most + k; });
+  else
+    for (std::int32_t k = 0; k < most; ++k)
+      place([&](int l) { return first[l] + k < first[l + 1] ? first[l] + k : first[l + 1] - 1; });
+  turn_square.raise(begin, poses.turn_square * farthest);
+}
+
+// `width` bodies from `first` on, in the lanes that begin at `begin`; fewer, `count`, at the end of a stretch. Pebbles are
+// those of the group before, `poses`: their placing is work for while this group's roots and quotients are under way.
 template <bool has_clumps, Detail detail, bool is_whole>
 LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::int32_t first, int count, int begin,
-                          Sums& sum, Mask& too_fast) {
+                          Poses& poses, Sums& sum, Mask& too_fast) {
   constexpr bool has_works = detail != Detail::Forces;
   // Stands in where a group of eight has fewer bodies.
   SphereRecord no_body = {0, 0, 0, 1};
@@ -133,8 +163,8 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   const Lanes4 w = transpose(rows);
   for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->fx);
   const Lanes4 f = transpose(rows);
-  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->tx);
-  const Lanes4 t = transpose(rows);
+  for (int l = 0; l < width; ++l) rows[l] = row(&of(s.loads, no_load, l)->mx);
+  const Lanes4 moment = transpose(rows);
 
   Mask moves = Mask{} - 1;
   if (!is_whole)
@@ -142,22 +172,35 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   if (s.is_fixed)
     for (int l = 0; l < count; ++l) moves[l] = s.is_fixed[first + l] ? 0 : -1;
   const Lanes mass = select(moves, w.w, zero);
-  const Lanes mobility = select(moves, one / w.w, zero);
+  Lanes4 inertia{};     // principal moments, and whether it is a clump
+  Lanes3 own_mobility;  // 1/I
+  Lanes mobility;       // 1/m
+  if constexpr (has_clumps) {
+    for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->i1);
+    inertia = transpose(rows);
+    const Lanes4 inverse = inverses(inertia.x, inertia.y, inertia.z, w.w);
+    own_mobility = {inverse.x, inverse.y, inverse.z};
+    mobility = inverse.w;
+  } else {
+    mobility = one / w.w;
+  }
+  mobility = select(moves, mobility, zero);
 
   // Translation.
   const Lanes3 before = {v.x, v.y, v.z}, force = {f.x, f.y, f.z};
-  const Lanes3 weight = {mass * step.gravity[0], mass * step.gravity[1], mass * step.gravity[2]};
-  const Lanes3 unbalanced = select(moves, force + weight, none);
+  const Lanes3 gravity = {lanes(step.gravity[0]), lanes(step.gravity[1]), lanes(step.gravity[2])};
+  const Lanes3 unbalanced = select(moves, multiply_add(mass, gravity, force), none);
   const Lanes3 force_damping = damping_part(unbalanced, before, step.damping);
-  const Lanes3 after = select(moves, before + (dt * mobility) * (unbalanced + force_damping), none);
-  const Lanes3 position = Lanes3{place.x, place.y, place.z} + lanes(step.next_step) * after;
+  const Lanes3 after = select(moves, multiply_add(dt * mobility, unbalanced + force_damping, before), none);
+  const Lanes3 center = {place.x, place.y, place.z};
+  const Lanes3 position = multiply_add(lanes(step.next_step), after, center);
   const Lanes3 mean = lanes(0.5) * (before + after);
-  const Lanes square = dot(after, after);
+  const Lanes square = fused_dot(after, after);
   sum.square.raise(begin, square);
   too_fast |= ~(square <= fastest_square * (place.w * place.w));
   if constexpr (has_works) {
     sum.translation.add(begin, 0.5 * mass * dot(before, after));
-    sum.gravity_work.add(begin, dt * dot(weight, mean));
+    sum.gravity_work.add(begin, dt * dot(mass * gravity, mean));
     sum.unbalanced.add(begin, square_root(dot(unbalanced, unbalanced)));
     sum.mass.add(begin, mass);
     add(sum.damping_force, begin, force_damping);
@@ -166,41 +209,51 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   }
 
   // Rotation.
-  const Lanes3 spin = {w.x, w.y, w.z}, pure_torque = select(moves, {t.x, t.y, t.z}, none);
+  // About the centre of mass: loads are about the origin.
+  const Lanes3 spin = {w.x, w.y, w.z};
+  const Lanes3 pure_torque = select(moves, cross_add(force, center, {moment.x, moment.y, moment.z}), none);
   const Lanes3 torque_damping = damping_part(pure_torque, spin, step.damping);
   const Lanes3 torque = pure_torque + torque_damping;
-  const Lanes moment = sphere_inertia * mass * place.w * place.w;
-  Lanes3 next_spin = spin + (dt * (mobility / (sphere_inertia * place.w * place.w))) * torque;
-  Lanes3 middle = lanes(0.5) * (spin + next_spin);  // mean of the spins before and after, at the attitude of t_n
-  Lanes rotation_energy = 0.5 * moment * dot(spin, next_spin);
+  Lanes3 next_spin = spin, middle = spin;  // the second: mean of the spins before and after, at the attitude of t_n
+  Lanes rotation_energy = zero;
+  const auto as_sphere = [&] {
+    const Lanes square_radius = sphere_inertia * (place.w * place.w);  // of gyration
+    next_spin = multiply_add(dt * (mobility / square_radius), torque, spin);
+    middle = lanes(0.5) * (spin + next_spin);
+    rotation_energy = 0.5 * (mass * square_radius) * fused_dot(spin, next_spin);
+  };
   Rotation rotation;
   if constexpr (has_clumps) {
     for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->qx);
     const Lanes4 q = transpose(rows);
-    for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->i1);
-    const Lanes4 inertia = transpose(rows);
     const Mask is_clump = inertia.w != zero;
+    if (any(~is_clump)) as_sphere();
     // In body axes: spin, momentum p.
     const Rotation at = rotation_of(q);
-    const Lanes3 own_mobility = {one / inertia.x, one / inertia.y, one / inertia.z};
     const Lanes3 own_spin = at.to_body(spin), own_torque = at.to_body(torque);
-    Lanes3 p = Lanes3{inertia.x * own_spin.x, inertia.y * own_spin.y, inertia.z * own_spin.z} + lanes(dt) * own_torque;
+    Lanes3 p =
+        multiply_add(lanes(dt), own_torque, {inertia.x * own_spin.x, inertia.y * own_spin.y, inertia.z * own_spin.z});
     const auto spin_of = [&](const Lanes3& momentum) -> Lanes3 {
       return {own_mobility.x * momentum.x, own_mobility.y * momentum.y, own_mobility.z * momentum.z};
     };
     middle = select(is_clump, at.to_world(lanes(0.5) * (own_spin + spin_of(p))), middle);
-    rotation_energy = select(is_clump, 0.5 * dot(own_spin, p), rotation_energy);
+    rotation_energy = select(is_clump, 0.5 * fused_dot(own_spin, p), rotation_energy);
     const Mask turns = is_clump & moves;
-    const Lanes4 turned = turned_freely(q, p, own_mobility, step.next_step);
+    Lanes turn_square;
+    const Lanes4 turned = turned_freely(q, p, own_mobility, inertia.z == inertia.y, step.next_step, turn_square);
     const Lanes4 attitude = {select(turns, turned.x, q.x), select(turns, turned.y, q.y), select(turns, turned.z, q.z),
                              select(turns, turned.w, q.w)};
+    if (poses.count > 0) place_pebbles<true>(s, poses, begin, sum.turn_square);
     rotation = rotation_of(attitude);
+    poses.turn_square = select(turns, turn_square, zero);
     next_spin = select(is_clump, rotation.to_world(spin_of(p)), next_spin);
     transpose(attitude, rows);
     for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.attitudes[first + l].qx) = rows[l];
+  } else {
+    as_sphere();
   }
   next_spin = select(moves, next_spin, none);
-  too_fast |= ~(dot(next_spin, next_spin) <= largest_square);  // a spin that is no number
+  too_fast |= ~(fused_dot(next_spin, next_spin) <= largest_square);  // a spin that is no number
   if constexpr (has_works) {
     sum.rotation.add(begin, select(moves, rotation_energy, zero));
     sum.contact_work.add(begin, select(moves, dt * (dot(force, mean) + dot(pure_torque, middle)), zero));
@@ -209,15 +262,20 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
 
   transpose({position.x, position.y, position.z, place.w}, rows);
   for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.bodies[first + l].x) = rows[l];
-  if constexpr (has_clumps) place_pebbles(s, first, count, rows, rotation, sum.way_squares);
-  Row spin_rows[width];
-  transpose({after.x, after.y, after.z, v.w}, rows);
-  transpose({next_spin.x, next_spin.y, next_spin.z, w.w}, spin_rows);
-  for (int l = 0; l < count; ++l) {
-    *reinterpret_cast<Row*>(&s.motion[first + l].vx) = rows[l];
-    *reinterpret_cast<Row*>(&s.motion[first + l].wx) = spin_rows[l];
-    s.loads[first + l] = LoadRecord{};
+  if constexpr (has_clumps) {
+    poses.rotation = rotation;
+    poses.center = position;
+    poses.first = first;
+    poses.count = count;
   }
+  store_records({after.x, after.y, after.z, v.w}, {next_spin.x, next_spin.y, next_spin.z, w.w}, s.motion + first,
+                count);
+  if constexpr (has_clumps) {
+    const Lanes3 at_origin = cross_add(position, next_spin, after);
+    store_records({at_origin.x, at_origin.y, at_origin.z, w.w}, {next_spin.x, next_spin.y, next_spin.z, place.w},
+                  s.twists + first, count);
+  }
+  for (int l = 0; l < count; ++l) s.loads[first + l] = LoadRecord{};
 }
 
 template <bool has_clumps, Detail detail>
@@ -225,15 +283,16 @@ void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
   constexpr bool has_works = detail != Detail::Forces;
   Sums sum;
   Mask too_fast{};
+  Poses poses;
   std::int32_t first = s.begin;
   int begin = 0;
   for (; first + width <= s.end; first += width, begin = (begin + width) % block)
-    move<has_clumps, detail, true>(s, step, first, width, begin, sum, too_fast);
-  if (first < s.end) move<has_clumps, detail, false>(s, step, first, s.end - first, begin, sum, too_fast);
+    move<has_clumps, detail, true>(s, step, first, width, begin, poses, sum, too_fast);
+  if (first < s.end) move<has_clumps, detail, false>(s, step, first, s.end - first, begin, poses, sum, too_fast);
+  if (has_clumps && poses.count > 0) place_pebbles<false>(s, poses, begin, sum.turn_square);
   sums.too_fast = any(too_fast) ? 1 : 0;
   sums.largest_square = sum.square.largest();
-  sums.way_square = has_clumps ? sum.way_squares[0] + sum.way_squares[1] + sum.way_squares[2]
-                               : step.next_step * step.next_step * sums.largest_square;
+  sums.way = step.next_step * __builtin_sqrt(sums.largest_square) + __builtin_sqrt(sum.turn_square.largest());
   if constexpr (!has_works) return;
   sums.translation_energy = sum.translation.total();
   sums.rotation_energy = sum.rotation.total();

@@ -14,6 +14,7 @@ struct MotionStretch {
   const std::int32_t* pebble_begin;
   const SphereRecord* offsets;
   SphereRecord* pebbles;
+  TwistRecord* twists;      // of the new positions and velocities
   const char* is_fixed;     // per body; null: none
   std::int32_t begin, end;  // bodies
 };
@@ -30,7 +31,7 @@ struct MotionStep {
 struct MotionSums {
   double too_fast = 0;        // 1 if any body is
   double largest_square = 0;  // of the speeds [m2/s2]
-  double way_square = 0;      // at least as much as any pebble's way in this step, squared [m2]
+  double way = 0;             // at least as far as any pebble has gone in this step [m]
   // From Detail::Works on.
   double translation_energy = 0, rotation_energy = 0;
   double gravity_work = 0, damped_work = 0, contact_work = 0;

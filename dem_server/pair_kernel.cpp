@@ -10,57 +10,75 @@ static_assert(block == tile_size);
 
 constexpr std::size_t prefetch_tiles = 4;  // ahead: 32 entries; 64 measured alike, fewer leave 100,000 grains waiting
 constexpr double deepest_turn = 0.9;       // overlap over r_i + r_j beyond which a spring does not turn
-constexpr double least_square = 1e-300;    // [m2], [N2], [N/m]: keeps 0/0 out
+constexpr double least = 1e-300;           // [m2], [N2], [N/m]: keeps 0/0 out
 
 struct Sums {
   Sum8 slip_work, dashpot_work, active, normal_force, contact_force, normal_energy, shear_energy, overlap_ratio;
   Sum8 virial_x, virial_y, virial_z;
 };
 
-// Takes sign bits of the first three: x_j - x_i, and R_i + R_j beside it, are one addition of records.
-LOCKSTEP_INLINE Row minus_place(Row r) { return r * Row{-1, -1, -1, 1}; }
-
 LOCKSTEP_INLINE void fetch_ahead(const PairState& s, const PairTile& pairs, const BodyTile* bodies) {
   for (int l = 0; l < block; ++l) {
     const std::int32_t b = bodies ? bodies->b[l] : pairs.j[l];
     __builtin_prefetch(&s.pebbles[pairs.j[l]]);
-    if (bodies) __builtin_prefetch(&s.bodies[b]);
-    __builtin_prefetch(&s.motion[b]);
+    if (bodies)
+      __builtin_prefetch(&s.twists[b]);
+    else
+      __builtin_prefetch(&s.motion[b]);
     __builtin_prefetch(&s.loads[b], 1);
   }
 }
 
+LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
+
 // What the places of `width` entries say.
 struct Geometry {
   Lanes3 normal;
-  Lanes inverse;  // of the distance [1/m]
-  Lanes overlap;  // [m]
-  Lanes reach;    // r_i + r_j [m]
-  Mask touches;
+  Lanes3 point;         // middle of the overlap, x_i + (r_i - U/2) n [m]
+  Lanes arm_i, arm_j;   // from the pebbles' centres to there [m]
+  Lanes overlap;        // U [m]
+  Lanes step_over_two;  // dt / 2 d, d the distance of the centres; zero where a spring does not turn [s/m]
+  Lanes3 shift;         // of B's image; only a periodic cell asks for it [m]
 };
 
 template <bool is_periodic>
-LOCKSTEP_INLINE Geometry geometry(const PairState& state, const PairStretch& stretch, std::size_t tile, int begin) {
+LOCKSTEP_INLINE Geometry geometry(const PairState& state, const PairStretch& stretch, std::size_t tile, int begin,
+                                  Lanes half_step) {
   const PairTile& pairs = stretch.pairs[tile];
+  const Lanes zero{}, one = lanes(1), half = lanes(0.5);
   Row rows[width];
-  for (int l = 0; l < width; ++l)
-    rows[l] = minus_place(row(&state.pebbles[pairs.i[begin + l]].x)) + row(&state.pebbles[pairs.j[begin + l]].x);
-  const Lanes4 gap = transpose(rows);
-  Lanes3 d = {gap.x, gap.y, gap.z};
+  for (int l = 0; l < width; ++l) rows[l] = row(&state.pebbles[pairs.i[begin + l]].x);
+  const Lanes4 i = transpose(rows);
+  for (int l = 0; l < width; ++l) rows[l] = row(&state.pebbles[pairs.j[begin + l]].x);
+  const Lanes4 j = transpose(rows);
+  Geometry g{};
+  Lanes3 d = xyz(j) - xyz(i);
   if constexpr (is_periodic) {
     const ShiftTile& shift = stretch.shifts[tile];
-    d = d + Lanes3{load(shift.x + begin), load(shift.y + begin), load(shift.z + begin)};
+    g.shift = {load(shift.x + begin), load(shift.y + begin), load(shift.z + begin)};
+    d = d + g.shift;
   }
-  const Lanes zero{}, one = lanes(1);
-  const Lanes square = dot(d, d);
-  const Mask touches = square < gap.w * gap.w;
-  const Lanes distance = square_root(larger(square, lanes(least_square)));
+  const Lanes reach = i.w + j.w, square = fused_dot(d, d);
+  const Lanes distance = square_root(larger(square, lanes(least)));
   const Lanes inverse = one / distance;
-  Lanes3 normal = inverse * d;
+  g.normal = inverse * d;
   // Centres in one place have no direction between them: up is as good as any.
-  normal.z = select(square > zero, normal.z, one);
-  return {normal, inverse, gap.w - distance, gap.w, touches};
+  g.normal.z = select(square > zero, g.normal.z, one);
+  g.overlap = reach - distance;
+  g.arm_i = multiply_add(-half, g.overlap, i.w);
+  g.arm_j = multiply_add(-half, g.overlap, j.w);
+  g.point = multiply_add(g.arm_i, g.normal, xyz(i));
+  // Centres that nearly meet turn by any angle: their spring is only projected.
+  g.step_over_two = select(g.overlap < deepest_turn * reach, half_step * inverse, zero);
+  return g;
 }
+
+// What `width` contacts put on their bodies, not yet added.
+struct Wrenches {
+  Lanes3 force;  // on A [N]
+  Lanes3 point, shift;
+  const std::int32_t *a, *b;
+};
 
 // Bodies of a periodic cell that strains at rate L (diagonal) have their own velocities beside the cell's: those of A and of
 // B's image differ by L times the branch between their centres as well.
@@ -72,9 +90,11 @@ LOCKSTEP_INLINE Geometry geometry(const PairState& state, const PairStretch& str
 //   the turn        with n0 = n - delta the law's s - (n0 + n) (n . s)/(1 + n0 . n) is s - (n - delta_t/2) (n . s) but for
 //                   terms of delta^3, delta_t being what delta has across n. In leap-frog the pebbles were dt V apart a
 //                   step ago: delta_t = dt V_t / d, V the velocity of one centre to the other. No normal is stored.
-//   loads           force and moment about each centre of mass       (eq. 12)
-// Entries that do not touch go along with zero force: nine of ten touch. The geometry of the next entries is begun
-// before the law of these: their roots and divisions take as long as all the rest and can be under way meanwhile.
+//   loads           force, and its moment about the origin           (eq. 12)
+// Entries that do not touch go along with zero force: nine of ten touch.
+//
+// Three groups of entries are under way at a time: the places of the next, the law of these, the loads of the last. In one
+// group each of these waits for the one before, longer than it works.
 template <bool has_clumps, bool has_friction, bool has_dashpot, bool is_periodic, Detail detail, bool is_bounded>
 void run(const PairState& state, const PairStretch& stretch, const PairLaw& law, PairSums& sums) {
   constexpr bool has_works = detail != Detail::Forces, is_measured = detail == Detail::All;
@@ -82,19 +102,38 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
   if (stretch.tiles == 0) return;
   Sums sum;
   LoadRecord scrap{};
-  const Lanes zero{}, one = lanes(1), half = lanes(0.5), least = lanes(least_square),
-                      half_step = lanes(0.5 * law.time_step);
+  const Lanes zero{}, one = lanes(1), half = lanes(0.5), tiny = lanes(least), half_step = lanes(0.5 * law.time_step);
   // By arithmetic: with a branch a tile takes 1.3 times as long as in a kernel without bounds, so 1.1 times.
   const auto bodies = static_cast<std::uint32_t>(state.end_body - state.first_body);
   const std::ptrdiff_t to_scrap = reinterpret_cast<char*>(&scrap) - reinterpret_cast<char*>(state.loads);
-  const auto target = [&](std::int32_t body) -> LoadRecord* {
-    if constexpr (!is_bounded) return &state.loads[body];
+  const auto bounded_target = [&](std::int32_t body) {
     const std::ptrdiff_t is_outside = static_cast<std::uint32_t>(body - state.first_body) < bodies ? 0 : -1;
     const auto place = static_cast<std::ptrdiff_t>(sizeof(LoadRecord)) * body;
     return reinterpret_cast<LoadRecord*>(reinterpret_cast<char*>(state.loads) +
                                          (place ^ ((place ^ to_scrap) & is_outside)));
   };
-  Geometry next = geometry<is_periodic>(state, stretch, 0, 0);
+  // In the order of the list.
+  const auto deliver = [&](const Wrenches& w, auto&& target) {
+    const Lanes3 on_a = fused_cross(w.point, w.force);
+    const Lanes3 off_b = is_periodic ? fused_cross(w.point - w.shift, w.force) : on_a;
+    LoadRecord *loads_a[width], *loads_b[width];
+    for (int l = 0; l < width; ++l) loads_a[l] = target(w.a[l]), loads_b[l] = target(w.b[l]);
+    add_loads({w.force.x, w.force.y, w.force.z, zero}, {on_a.x, on_a.y, on_a.z, zero},
+              {off_b.x, off_b.y, off_b.z, zero}, loads_a, loads_b);
+  };
+  const auto free_target = [&](std::int32_t body) { return &state.loads[body]; };
+  const auto deliver_inside = [&](const Wrenches& w, bool is_last_tile) {
+    if (is_bounded || is_last_tile)
+      deliver(w, bounded_target);
+    else
+      deliver(w, free_target);
+  };
+  Geometry next = geometry<is_periodic>(state, stretch, 0, 0, half_step);
+  const Lanes3 none = {zero, zero, zero};
+  // Nothing on the first body.
+  std::int32_t first[width];
+  for (int l = 0; l < width; ++l) first[l] = has_clumps ? stretch.bodies[0].a[0] : stretch.pairs[0].i[0];
+  Wrenches last = {none, none, none, first, first};
   for (std::size_t tile = 0; tile < stretch.tiles; ++tile) {
     const PairTile& pairs = stretch.pairs[tile];
     const std::size_t ahead = tile + prefetch_tiles < stretch.tiles ? tile + prefetch_tiles : stretch.tiles - 1;
@@ -106,130 +145,118 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
       {
         const bool is_last_part = part + 1 == steps_a_tile;
         const std::size_t next_tile = is_last_part && tile + 1 < stretch.tiles ? tile + 1 : tile;
-        next = geometry<is_periodic>(state, stretch, next_tile, is_last_part ? 0 : begin + width);
+        next = geometry<is_periodic>(state, stretch, next_tile, is_last_part ? 0 : begin + width, half_step);
       }
+      deliver_inside(last, part > 0 && tile + 1 == stretch.tiles);
       const Lanes3& normal = now.normal;
-      const std::int32_t *i = pairs.i + begin, *j = pairs.j + begin;
-      const std::int32_t* a = has_clumps ? stretch.bodies[tile].a + begin : i;
-      const std::int32_t* b = has_clumps ? stretch.bodies[tile].b + begin : j;
-      Row rows[width];
+      const Mask touches = now.overlap > zero;
+      const std::int32_t* a = has_clumps ? stretch.bodies[tile].a + begin : pairs.i + begin;
+      const std::int32_t* b = has_clumps ? stretch.bodies[tile].b + begin : pairs.j + begin;
+      const auto gather = [&](auto&& row_of) {
+        Row rows[width];
+        for (int l = 0; l < width; ++l) rows[l] = row_of(l);
+        return transpose(rows);
+      };
 
-      // Velocities and levers.
-      for (int l = 0; l < width; ++l) rows[l] = row(&state.motion[b[l]].vx) - row(&state.motion[a[l]].vx);
-      const Lanes4 dv = transpose(rows);
-      for (int l = 0; l < width; ++l) rows[l] = row(&state.motion[a[l]].wx);
-      const Lanes4 wa = transpose(rows);
-      for (int l = 0; l < width; ++l) rows[l] = row(&state.motion[b[l]].wx);
-      const Lanes4 wb = transpose(rows);
-      Lanes radii;  // sum of the equivalent radii
-      Lanes3 lever_a{}, lever_b{};
-      Lanes3 centers = {dv.x, dv.y, dv.z};  // velocity of pebble j less that of i
-      Lanes arm_a, arm_b;
-      Lanes3 branch = (now.reach - now.overlap) * normal;  // from body to body; only a periodic cell asks for it
-      if constexpr (has_clumps) {
-        // From the centres of the bodies to those of their pebbles; the row's fourth is r less R_eq.
-        for (int l = 0; l < width; ++l) rows[l] = row(&state.pebbles[i[l]].x) - row(&state.bodies[a[l]].x);
-        const Lanes4 out_a = transpose(rows);
-        for (int l = 0; l < width; ++l) rows[l] = row(&state.pebbles[j[l]].x) - row(&state.bodies[b[l]].x);
-        const Lanes4 out_b = transpose(rows);
-        radii = now.reach - (out_a.w + out_b.w);
-        const Lanes difference = (dv.w + out_b.w) - out_a.w;  // r_j - r_i
-        const Lanes radius_i = half * (now.reach - difference);
-        arm_a = radius_i - half * now.overlap;
-        arm_b = (radius_i + difference) - half * now.overlap;
-        lever_a = Lanes3{out_a.x, out_a.y, out_a.z} + arm_a * normal;
-        lever_b = Lanes3{out_b.x, out_b.y, out_b.z} - arm_b * normal;
-        branch = branch + Lanes3{out_a.x, out_a.y, out_a.z} - Lanes3{out_b.x, out_b.y, out_b.z};
-        centers = centers + cross({wb.x, wb.y, wb.z}, {out_b.x, out_b.y, out_b.z}) -
-                  cross({wa.x, wa.y, wa.z}, {out_a.x, out_a.y, out_a.z});
-      } else {
-        radii = now.reach;
-        const Lanes radius_i = half * (now.reach - dv.w);
-        arm_a = radius_i - half * now.overlap;
-        arm_b = (radius_i + dv.w) - half * now.overlap;
+      // Velocities: of B less those of A, at the origin for clumps, of the centres for spheres.
+      const auto records = [&] {
+        if constexpr (has_clumps)
+          return state.twists;
+        else
+          return state.motion;
+      }();
+      const Lanes4 dv = gather([&](int l) { return row(&records[b[l]].vx) - row(&records[a[l]].vx); });
+      const Lanes4 wa = gather([&](int l) { return row(&records[a[l]].wx); });
+      const Lanes4 wb = gather([&](int l) { return row(&records[b[l]].wx); });
+      Lanes3 velocity = xyz(dv);
+      if constexpr (has_clumps) velocity = cross_add(xyz(wb) - xyz(wa), now.point, velocity);
+      Lanes3 branch = none;  // from body to body
+      if constexpr (is_periodic) {
+        branch =
+            xyz(gather([&](int l) { return row(&state.bodies[b[l]].x) - row(&state.bodies[a[l]].x); })) + now.shift;
+        if constexpr (has_clumps) velocity = velocity - cross(xyz(wb), now.shift);
+        velocity =
+            velocity + Lanes3{law.strain_rate_x * branch.x, law.strain_rate_y * branch.y, law.strain_rate_z * branch.z};
       }
-
-      if constexpr (is_periodic)
-        centers =
-            centers + Lanes3{law.strain_rate_x * branch.x, law.strain_rate_y * branch.y, law.strain_rate_z * branch.z};
 
       // The law.
-      const Lanes normal_velocity = dot(centers, normal);
+      const Lanes normal_velocity = fused_dot(velocity, normal);
+      const Lanes radii =
+          has_clumps ? wa.w + wb.w : now.arm_i + now.arm_j + now.overlap;  // sum of the equivalent radii
       const Lanes stiffness = law.contact_modulus * radii;
       const Lanes elastic_force = stiffness * now.overlap;
       Lanes normal_force = elastic_force;
       if constexpr (has_dashpot) {
         // c = 2 zeta sqrt(k m_eff); the total never pulls.
-        const Lanes mass = wa.w * wb.w / (wa.w + wb.w);
+        Lanes mass_a = wa.w, mass_b = wb.w;
+        if constexpr (has_clumps) {
+          mass_a = gather([&](int l) { return row(&state.twists[a[l]].vx); }).w;
+          mass_b = mass_a + dv.w;
+        }
+        const Lanes mass = mass_a * mass_b / (mass_a + mass_b);
         const Lanes dashpot = (2 * law.damping_ratio) * square_root(stiffness * mass);
         normal_force = larger(zero, elastic_force - dashpot * normal_velocity);
         if constexpr (has_works) {
           const Lanes power = (elastic_force - normal_force) * normal_velocity;
-          sum.dashpot_work.add(begin, select(now.touches, power * law.time_step, zero));
+          sum.dashpot_work.add(begin, select(touches, power * law.time_step, zero));
         }
       }
-      normal_force = select(now.touches, normal_force, zero);
+      normal_force = select(touches, normal_force, zero);
       Lanes3 force = -normal_force * normal;
       if constexpr (has_friction) {
         SpringTile& springs = stretch.springs[tile];
         const Lanes3 old = {load(springs.x + begin), load(springs.y + begin), load(springs.z + begin)};
-        const Lanes3 across = centers - normal_velocity * normal;
-        // Centres that nearly meet turn by any angle: their spring is only projected.
-        const Lanes half_turn = select(now.overlap < deepest_turn * now.reach, half_step * now.inverse, zero);
-        const Lanes3 rolled = arm_a * Lanes3{wa.x, wa.y, wa.z} + arm_b * Lanes3{wb.x, wb.y, wb.z};
-        const Lanes3 shear_velocity = across - cross(rolled, normal);
-        const Lanes3 turned = old - dot(old, normal) * (normal - half_turn * across);
+        // `across`: of the centres, `shear_velocity`: at the contact.
+        const Lanes3 rolled = multiply_add(now.arm_j, xyz(wb), now.arm_i * xyz(wa));
+        Lanes3 across = multiply_add(-normal_velocity, normal, velocity), shear_velocity = across;
+        if constexpr (has_clumps)
+          across = cross_add(rolled, normal, shear_velocity);
+        else
+          shear_velocity = cross_add(normal, rolled, across);
+        const Lanes3 turned =
+            multiply_add(-fused_dot(old, normal), multiply_add(-now.step_over_two, across, normal), old);
         const Lanes shear_stiffness = law.shear_share * stiffness;
-        const Lanes3 spring = turned + (shear_stiffness * law.time_step) * shear_velocity;
+        const Lanes3 spring = multiply_add(shear_stiffness * law.time_step, shear_velocity, turned);
         const Lanes limit = law.friction * normal_force;
-        const Lanes length_square = dot(spring, spring);
-        const Mask slides = now.touches & (length_square > limit * limit);
+        const Lanes length_square = fused_dot(spring, spring);
+        const Mask slides = touches & (length_square > limit * limit);
         // In a packing at rest few contacts slide: a guess that none of these does keeps root and quotient off the path
         // from velocities to loads.
-        Lanes kept = select(now.touches, one, zero);
-        if (any(slides)) kept = select(slides, limit / square_root(larger(length_square, least)), kept);
+        Lanes kept = select(touches, one, zero);
+        if (any(slides)) [[unlikely]] {
+          kept = select(slides, limit / square_root(larger(length_square, tiny)), kept);
+          if constexpr (has_works) {
+            // Slip: what the cut takes from the spring, over k_s, at the mean of the forces before and after.
+            const Lanes slip =
+                half * (one - kept) * dot(turned + kept * spring, spring) / larger(shear_stiffness, tiny);
+            sum.slip_work.add(begin, select(slides, slip, zero));
+          }
+        }
         const Lanes3 cut = kept * spring;
-        force = force + cut;
+        force = multiply_add(-normal_force, normal, cut);
         store(springs.x + begin, cut.x);
         store(springs.y + begin, cut.y);
         store(springs.z + begin, cut.z);
-        if constexpr (has_works) {
-          // Slip: what the cut takes from the spring, over k_s, at the mean of the forces before and after.
-          const Lanes slip = half * (one - kept) * dot(turned + cut, spring) / larger(shear_stiffness, least);
-          sum.slip_work.add(begin, select(slides, slip, zero));
-        }
-        if constexpr (is_measured) sum.shear_energy.add(begin, half * dot(cut, cut) / larger(shear_stiffness, least));
+        if constexpr (is_measured) sum.shear_energy.add(begin, half * dot(cut, cut) / larger(shear_stiffness, tiny));
       }
       if constexpr (is_measured) {
-        const Lanes smaller_radius = half * (radii - larger(dv.w, -dv.w));
-        sum.active.add(begin, select(now.touches, one, zero));
+        const Lanes difference = has_clumps ? wb.w - wa.w : dv.w;
+        const Lanes smaller_radius = half * (radii - larger(difference, -difference));
+        sum.active.add(begin, select(touches, one, zero));
         sum.normal_force.add(begin, normal_force);
         sum.contact_force.add(begin, square_root(dot(force, force)));
-        sum.normal_energy.add(begin, select(now.touches, half * elastic_force * now.overlap, zero));
-        sum.overlap_ratio.raise(begin, select(now.touches, now.overlap / smaller_radius, zero));
+        sum.normal_energy.add(begin, select(touches, half * elastic_force * now.overlap, zero));
+        sum.overlap_ratio.raise(begin, select(touches, now.overlap / smaller_radius, zero));
         if constexpr (is_periodic) {
-          sum.virial_x.add(begin, select(now.touches, force.x * branch.x, zero));
-          sum.virial_y.add(begin, select(now.touches, force.y * branch.y, zero));
-          sum.virial_z.add(begin, select(now.touches, force.z * branch.z, zero));
+          sum.virial_x.add(begin, select(touches, force.x * branch.x, zero));
+          sum.virial_y.add(begin, select(touches, force.y * branch.y, zero));
+          sum.virial_z.add(begin, select(touches, force.z * branch.z, zero));
         }
       }
-
-      // Loads, in the order of the list.
-      Lanes3 torque_a, torque_b;
-      if constexpr (has_clumps) {
-        torque_a = cross(lever_a, force);
-        torque_b = cross(lever_b, force);  // of the force on A; B gets the opposite
-      } else {
-        const Lanes3 moment = cross(normal, force);
-        torque_a = arm_a * moment;
-        torque_b = -arm_b * moment;
-      }
-      LoadRecord *on_a[width], *on_b[width];
-      for (int l = 0; l < width; ++l) on_a[l] = target(a[l]), on_b[l] = target(b[l]);
-      add_loads({force.x, force.y, force.z, zero}, {torque_a.x, torque_a.y, torque_a.z, zero},
-                {torque_b.x, torque_b.y, torque_b.z, zero}, on_a, on_b);
+      last = {force, now.point, now.shift, a, b};
     }
   }
+  deliver(last, bounded_target);
   if constexpr (has_works) {
     sums.slip_work += sum.slip_work.total();
     sums.dashpot_work += sum.dashpot_work.total();
@@ -250,30 +277,43 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
   }
 }
 
+// v + x x w, by shuffles of rows, in the order of cross_add(): the bits of the motion kernel.
+void make_twists(const SphereRecord* bodies, const MotionRecord* motion, TwistRecord* twists, std::int32_t begin,
+                 std::int32_t end) {
+  const auto yzx = [](Row r) { return __builtin_shufflevector(r, r, 1, 2, 0, 3); };
+  const auto zxy = [](Row r) { return __builtin_shufflevector(r, r, 2, 0, 1, 3); };
+  for (std::int32_t k = begin; k < end; ++k) {
+    const Row x = row(&bodies[k].x), v = row(&motion[k].vx), w = row(&motion[k].wx);
+    const Row at_origin = multiply_add(yzx(x), zxy(w), multiply_add(-zxy(x), yzx(w), v));
+    *reinterpret_cast<Row*>(&twists[k].vx) = __builtin_shufflevector(at_origin, w, 0, 1, 2, 7);
+    *reinterpret_cast<Row*>(&twists[k].wx) = __builtin_shufflevector(w, v, 0, 1, 2, 7);
+  }
+}
+
 template <bool has_clumps, bool has_friction, bool has_dashpot, bool is_periodic, Detail detail>
-PairKernel choose(const PairKernelTraits& t) {
-  return t.is_bounded ? run<has_clumps, has_friction, has_dashpot, is_periodic, detail, true>
-                      : run<has_clumps, has_friction, has_dashpot, is_periodic, detail, false>;
+PairKernels kernels() {
+  return {run<has_clumps, has_friction, has_dashpot, is_periodic, detail, false>,
+          run<has_clumps, has_friction, has_dashpot, is_periodic, detail, true>, make_twists};
 }
 
 template <bool has_clumps, bool has_friction, bool has_dashpot>
-PairKernel choose(const PairKernelTraits& t) {
-  if (t.detail == Detail::Forces) return choose<has_clumps, has_friction, has_dashpot, false, Detail::Forces>(t);
-  if (t.detail == Detail::Works) return choose<has_clumps, has_friction, has_dashpot, false, Detail::Works>(t);
-  return choose<has_clumps, has_friction, has_dashpot, false, Detail::All>(t);
+PairKernels choose(const PairKernelTraits& t) {
+  if (t.detail == Detail::Forces) return kernels<has_clumps, has_friction, has_dashpot, false, Detail::Forces>();
+  if (t.detail == Detail::Works) return kernels<has_clumps, has_friction, has_dashpot, false, Detail::Works>();
+  return kernels<has_clumps, has_friction, has_dashpot, false, Detail::All>();
 }
 
 // A periodic cell is for preparing packings: it has one kernel for all.
 template <bool has_clumps>
-PairKernel choose(const PairKernelTraits& t) {
-  if (t.is_periodic) return choose<has_clumps, true, true, true, Detail::All>(t);
+PairKernels choose(const PairKernelTraits& t) {
+  if (t.is_periodic) return kernels<has_clumps, true, true, true, Detail::All>();
   if (t.has_friction) return t.has_dashpot ? choose<has_clumps, true, true>(t) : choose<has_clumps, true, false>(t);
   return t.has_dashpot ? choose<has_clumps, false, true>(t) : choose<has_clumps, false, false>(t);
 }
 
 }  // namespace
 
-PairKernel LOCKSTEP_PAIR_KERNEL(const PairKernelTraits& traits) {
+PairKernels LOCKSTEP_PAIR_KERNEL(const PairKernelTraits& traits) {
   return traits.has_clumps ? choose<true>(traits) : choose<false>(traits);
 }
 

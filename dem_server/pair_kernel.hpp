@@ -1,7 +1,8 @@
 // The innermost loop of the grains: forces of a stretch of the contact list, eight entries at a time.
 //
-// Compiled once for each instruction set (generic x86-64, AVX2, AVX-512) from pair_kernel.cpp and chosen at run time; all
-// give the same bits, since lanes do the arithmetic of single doubles without contraction and sums have a fixed order.
+// Compiled once for each instruction set (generic x86-64, AVX2, AVX-512) from pair_kernel.cpp and chosen at run time.
+// AVX2 and AVX-512 give the same bits, since lanes do the arithmetic of single doubles and sums have a fixed order; generic
+// x86-64 has no multiply-add in one rounding (common/lanes.hpp) and differs in the last bits.
 // Specialised for what the scene has: a kernel for spheres reads no levers, one without friction no springs.
 //
 // No includes but records: see there.
@@ -28,11 +29,12 @@ struct alignas(64) ShiftTile {
 
 struct PairState {
   const SphereRecord* pebbles;
-  const SphereRecord* bodies;  // centres and equivalent radii
-  const MotionRecord* motion;
+  const SphereRecord* bodies;  // centres and equivalent radii; only a periodic cell asks for them
+  const MotionRecord* motion;  // of spheres
+  const TwistRecord* twists;   // of clumps
   LoadRecord* loads;
-  // A bounded kernel puts loads of bodies outside nowhere: another thread computes the same contact for them, or it is an
-  // entry that fills up a tile.
+  // Loads of bodies outside are put nowhere: where entries fill up the last tile, and by a bounded kernel, since another
+  // thread computes the same contact for them.
   std::int32_t first_body, end_body;
 };
 
@@ -75,14 +77,19 @@ struct PairKernelTraits {
   bool has_dashpot = false;
   bool is_periodic = false;
   Detail detail = Detail::All;
-  bool is_bounded = false;  // heeds first_body and end_body
 };
 
-using PairKernel = void (*)(const PairState&, const PairStretch&, const PairLaw&, PairSums&);
+struct PairKernels {
+  using Kernel = void (*)(const PairState&, const PairStretch&, const PairLaw&, PairSums&);
+  Kernel free, bounded;  // the second heeds first_body and end_body in all tiles
+  // Of bodies begin..end-1.
+  void (*make_twists)(const SphereRecord* bodies, const MotionRecord* motion, TwistRecord* twists, std::int32_t begin,
+                      std::int32_t end);
+};
 
-// One for each instruction set; null where this build has it not.
-PairKernel pair_kernel_generic(const PairKernelTraits& traits);
-PairKernel pair_kernel_avx2(const PairKernelTraits& traits);
-PairKernel pair_kernel_avx512(const PairKernelTraits& traits);
+// One for each instruction set; not there where this build has it not.
+PairKernels pair_kernel_generic(const PairKernelTraits& traits);
+PairKernels pair_kernel_avx2(const PairKernelTraits& traits);
+PairKernels pair_kernel_avx512(const PairKernelTraits& traits);
 
 }  // namespace lockstep::dem

@@ -67,6 +67,7 @@ void Particles::become_clumps() {
 std::int32_t Particles::add(const ClumpTemplate& shape, double radius, double density, const Vec3& center,
                             const Quat& attitude) {
   LOCKSTEP_ASSERT(radius > 0 && density > 0, "radius {}, density {}", radius, density);
+  forget_twists();
   if (!has_clumps() && !shape.is_sphere()) become_clumps();
   const auto body = static_cast<std::int32_t>(body_count());
   const double mass = density * 4.0 / 3.0 * pi * radius * radius * radius;
@@ -109,7 +110,13 @@ void Particles::place_pebbles() {
   for (std::size_t b = 0; b < body_count(); ++b) place_pebbles(b);
 }
 
+void Particles::room_for_twists() {
+  twists_.resize(has_clumps() ? bodies_.size() : 0);
+  if (has_clumps()) twists_.back() = TwistRecord{};
+}
+
 void Particles::scale_mass(std::size_t b, double factor) {
+  forget_twists();
   motion_[b].mass *= factor;
   if (!has_clumps()) return;
   attitudes_[b].i1 *= factor, attitudes_[b].i2 *= factor, attitudes_[b].i3 *= factor;
@@ -139,6 +146,7 @@ void Particles::scale_all(double factor) {
 }
 
 void Particles::append_copy(const Particles& from, std::size_t b, const Vec3& shift) {
+  forget_twists();
   if (!has_clumps() && from.has_clumps()) become_clumps();
   const auto body = static_cast<std::int32_t>(body_count());
   const auto moved = [&](const SphereRecord& r) -> SphereRecord {
@@ -200,6 +208,12 @@ void Particles::reorder(const std::vector<std::int32_t>& order) {
   *this = std::move(next);
 }
 
+void Particles::set_loads(std::size_t b, const Vec3& force, const Vec3& torque) {
+  loads_[b] = LoadRecord{};
+  add_force(b, std::as_const(*this).position(b), force);
+  View(&loads_[b].mx) += torque;
+}
+
 void Particles::clear_forces() { std::fill(loads_.begin(), loads_.end(), LoadRecord{}); }
 
 double Particles::smallest_radius() const {
@@ -247,7 +261,7 @@ void Particles::hash(Hash& h) const {
 std::size_t Particles::memory() const {
   const auto bytes = [](const auto& records) { return records.capacity() * sizeof(records[0]); };
   return bytes(bodies_) + bytes(motion_) + bytes(loads_) + bytes(attitudes_) + bytes(pebble_begin_) + bytes(pebbles_) +
-         bytes(offsets_) + bytes(pebble_body_);
+         bytes(offsets_) + bytes(pebble_body_) + bytes(twists_);
 }
 
 }  // namespace lockstep::dem

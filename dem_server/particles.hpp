@@ -10,7 +10,7 @@
 //
 //   SphereRecord  x y z R         32 B   per body (R_eq), and per pebble where there are clumps
 //   MotionRecord  v R w m         64 B   per body
-//   LoadRecord    F . T .         64 B   per body
+//   LoadRecord    F . M .         64 B   per body, about the origin
 //
 // Behind the last body and the last pebble stands one more record each, far away and without size: list entries that
 // only fill up a block of entries point there.
@@ -49,18 +49,19 @@ class Particles {
 
   // ---- of a body. The views are of the records: they end with the next add() or keep_only().
   Vec3 position(std::size_t b) const { return {bodies_[b].x, bodies_[b].y, bodies_[b].z}; }  // of mass centre, t_n [m]
-  View position(std::size_t b) { return View(&bodies_[b].x); }
+  View position(std::size_t b) { return forget_twists(), View(&bodies_[b].x); }
   double equivalent_radius(std::size_t b) const { return bodies_[b].radius; }  // of the sphere of this volume [m]
   Vec3 velocity(std::size_t b) const { return {motion_[b].vx, motion_[b].vy, motion_[b].vz}; }  // t_{n-1/2} [m/s]
-  View velocity(std::size_t b) { return View(&motion_[b].vx); }
+  View velocity(std::size_t b) { return forget_twists(), View(&motion_[b].vx); }
   Vec3 spin(std::size_t b) const { return {motion_[b].wx, motion_[b].wy, motion_[b].wz}; }  // world, t_{n-1/2} [rad/s]
-  View spin(std::size_t b) { return View(&motion_[b].wx); }
+  View spin(std::size_t b) { return forget_twists(), View(&motion_[b].wx); }
   double mass(std::size_t b) const { return motion_[b].mass; }  // [kg]
-  // Sum of contact forces at t_n, gravity not included [N], and torque about the centre of mass, world frame [N m].
+  // Sum of contact forces at t_n, gravity not included [N], their moment about the origin and their torque about the centre
+  // of mass, world frame [N m].
   Vec3 force(std::size_t b) const { return {loads_[b].fx, loads_[b].fy, loads_[b].fz}; }
-  View force(std::size_t b) { return View(&loads_[b].fx); }
-  Vec3 torque(std::size_t b) const { return {loads_[b].tx, loads_[b].ty, loads_[b].tz}; }
-  View torque(std::size_t b) { return View(&loads_[b].tx); }
+  Vec3 moment(std::size_t b) const { return {loads_[b].mx, loads_[b].my, loads_[b].mz}; }
+  Vec3 torque(std::size_t b) const { return moment(b) - position(b).cross(force(b)); }
+  void set_loads(std::size_t b, const Vec3& force, const Vec3& torque);
   // Body frame -> world, t_n. A sphere has none to lose: identity.
   Quat orientation(std::size_t b) const;
   // Principal moments, body frame [kg m2].
@@ -107,8 +108,8 @@ class Particles {
     return velocity(body) + spin(body).cross(point - position(body));
   }
   void add_force(std::size_t body, const Vec3& at, const Vec3& f) {
-    torque(body) += (at - static_cast<const Particles&>(*this).position(body)).cross(f);
-    force(body) += f;
+    View(&loads_[body].fx) += f;
+    View(&loads_[body].mx) += at.cross(f);
   }
   void clear_forces();
 
@@ -124,21 +125,30 @@ class Particles {
 
   // ---- the records, for kernels
   const SphereRecord* bodies() const { return bodies_.data(); }
-  SphereRecord* bodies() { return bodies_.data(); }
+  SphereRecord* bodies() { return forget_twists(), bodies_.data(); }
   const SphereRecord* pebbles() const { return has_clumps() ? pebbles_.data() : bodies_.data(); }
-  SphereRecord* pebbles() { return has_clumps() ? pebbles_.data() : bodies_.data(); }
+  SphereRecord* pebbles() { return has_clumps() ? pebbles_.data() : bodies(); }
   const MotionRecord* motion() const { return motion_.data(); }
-  MotionRecord* motion() { return motion_.data(); }
+  MotionRecord* motion() { return forget_twists(), motion_.data(); }
   const LoadRecord* loads() const { return loads_.data(); }
   LoadRecord* loads() { return loads_.data(); }
   // Of clumps only.
   SphereRecord* offsets() { return offsets_.data(); }
   AttitudeRecord* attitudes() { return attitudes_.data(); }
+  // What contacts read of the clumps' motion, one a body and one behind. integrate() leaves those of the positions at t_n and
+  // velocities at t_{n-1/2}; whoever asks for bodies or motion in order to change them takes them away, and the next contacts
+  // make them anew.
+  bool has_twists() const { return has_twists_; }
+  TwistRecord* twists() { return twists_.data(); }
+  const TwistRecord* twists() const { return twists_.data(); }
+  void room_for_twists();
+  void twists_are_made() { has_twists_ = true; }
   const std::int32_t* pebble_begins() const { return pebble_begin_.data(); }
   const std::int32_t* pebble_bodies() const { return pebble_body_.data(); }
 
  private:
   void become_clumps();
+  void forget_twists() { has_twists_ = false; }
 
   // One entry a body, and one behind the last.
   LargeArray<SphereRecord> bodies_;
@@ -151,6 +161,8 @@ class Particles {
   LargeArray<SphereRecord> pebbles_;
   LargeArray<SphereRecord> offsets_;  // from the centre of mass, body frame, and the pebble's radius
   std::vector<std::int32_t> pebble_body_;
+  LargeArray<TwistRecord> twists_;
+  bool has_twists_ = false;
   double growth_ = 0;  // [m]
   std::uint64_t placements_ = 0;
 };

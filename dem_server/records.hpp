@@ -18,9 +18,19 @@ struct alignas(64) MotionRecord {
   double mass;        // [kg]
 };
 
+// About the origin of coordinates, so that a contact puts one force and one moment on both bodies, with opposite signs.
 struct alignas(64) LoadRecord {
   double fx, fy, fz, unused_f;  // [N]
-  double tx, ty, tz, unused_t;  // about the centre of mass, world frame [N m]
+  double mx, my, mz, unused_m;  // [N m]
+};
+
+// A clump's motion as that of its point at the origin of coordinates: v - w x x. Any point p of it moves with v + w x p, so
+// that of two bodies a contact needs the difference alone.
+struct alignas(64) TwistRecord {
+  double vx, vy, vz;  // [m/s]
+  double mass;        // [kg]
+  double wx, wy, wz;  // [rad/s]
+  double radius;      // R_eq [m]
 };
 
 struct alignas(64) AttitudeRecord {

@@ -61,7 +61,8 @@ WallTotals totals_of(const WallSums& sums);
 WallKernels wall_kernels(InstructionSet instructions);
 
 inline GrainRecords records_of(Particles& particles) {
-  return {particles.pebbles(), particles.bodies(), particles.motion(), particles.loads()};
+  const Particles& grains = particles;
+  return {grains.pebbles(), grains.bodies(), grains.motion(), particles.loads()};
 }
 
 class WallContacts {

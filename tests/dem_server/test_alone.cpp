@@ -112,7 +112,8 @@ TEST_CASE("A sphere rolls down a slope with 5/7 of a sliding block's acceleratio
 TEST_CASE("Plates that press a cube of grains carry their servos' pressures, and so does the cube") {
   // Without gravity each pair of plates balances: both carry p_i A, A the servos' 0.16 m2. By the divergence theorem
   // V <sigma_ii> = sum of force times place over the plates = -p_i A L_i, L_i between the plates as they stand. Contact points
-  // lie U/2 behind them, 2e-3 R or 1e-4 L on each side. V, the ball's room, is counted by points 5 mm apart, 1 % of L.
+  // lie U/2 behind them, 2e-3 R or 1e-4 L on each side. V, the ball's room, is counted by points 5 mm apart: in each
+  // direction by one of them more or less.
   const Folder folder;
   RunOptions options;
   options.results = folder.path;
@@ -132,7 +133,7 @@ TEST_CASE("Plates that press a cube of grains carry their servos' pressures, and
     const double room = ball["room"].back() * 4.0 / 3.0 * pi * std::pow(0.4, 3);  // of the ball's volume [m3]
     const double stress = room * ball[name].back() / (-load * length[i]) - 1;
     CAPTURE(i, held, passed_on, stress, length.transpose());
-    CHECK(room == Approx(length.prod()).epsilon(0.01));
+    CHECK(room == Approx(length.prod()).epsilon(3 * 0.005 / 0.4));
     CHECK(std::abs(held) < 1e-3);
     CHECK(std::abs(passed_on) < 1e-3);
     CHECK(std::abs(stress) < 2e-3);
@@ -140,7 +141,8 @@ TEST_CASE("Plates that press a cube of grains carry their servos' pressures, and
 }
 
 TEST_CASE("A specimen is packed in a cylinder and held by servos on mantle and lid") {
-  // No gravity: mantle and lid each at their own pressure, the bottom with what the lid carries.
+  // No gravity: mantle and lid each at their own pressure, the bottom with what the lid carries. What friction, which begins
+  // with Apply, makes of the balance has died away after 0.3 s.
   const RunReport r = run_alone(parse_scene(R"(
     gravity: 0
     grains { packing { count: 500 porosity: 0.4 cube_grains: 150 } }
@@ -148,7 +150,7 @@ TEST_CASE("A specimen is packed in a cylinder and held by servos on mantle and l
     wall { plane { point { z: -0.4 } normal { z: 1 } } }
     wall { plane { point { z: 0.4 } normal { z: -1 } } servo { pressure: 80e3 area: 0.12566 } }
     balance { tolerance: 1e-3 }
-    run { duration: 0.1 damping: 0.7 })",
+    run { duration: 0.4 damping: 0.7 })",
                                             "a specimen"));
   REQUIRE(r.walls.size() == 3);
   const double mantle = r.walls[0].pressure / 50e3 - 1, lid = r.walls[2].pressure / 80e3 - 1;

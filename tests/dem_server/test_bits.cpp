@@ -219,15 +219,35 @@ TEST_CASE("a team that changes its size on the way changes no bit of the state")
   }
 }
 
-TEST_CASE("every instruction set of this machine gives the same bits, state and totals") {
+// Generic x86-64 rounds a product and its sum one after the other, the others once for both. What that makes is round-off, until
+// the packing's own sensitivity has magnified it: hence few steps.
+TEST_CASE("AVX2 and AVX-512 give the same bits, state and totals, and generic instructions the same to round-off") {
   for (const Crowd crowd : {Crowd::Spheres, Crowd::Mixed}) {
-    constexpr int steps = 5 * period;
-    const auto generic = squeezed(crowd, 1, InstructionSet::Generic);
-    const Bits truth = Run(*generic).after(steps);
+    constexpr int steps = 5 * period, few_steps = 20;
+    const auto best = squeezed(crowd, 1);
+    Run run(*best);
+    run.after(few_steps);
+    const Particles soon = best->particles;
+    const Bits truth = run.after(steps);
     for (const InstructionSet set : known_instructions()) {
       const auto model = squeezed(crowd, 2, set);
       CAPTURE(static_cast<int>(crowd), name_of(set));
-      CHECK((Run(*model).after(steps) == truth));
+      if (set != InstructionSet::Generic || known_instructions().size() == 1) {
+        CHECK((Run(*model).after(steps) == truth));
+        continue;
+      }
+      Run(*model).after(few_steps);
+      double farthest = 0, fastest = 0;
+      for (std::size_t b = 0; b < soon.body_count(); ++b) {
+        const Particles& p = model->particles;
+        farthest = std::max(farthest, (p.position(b) - soon.position(b)).norm() / p.equivalent_radius(b));
+        fastest = std::max(fastest, (p.velocity(b) - soon.velocity(b)).norm());
+      }
+      INFO("places differ by " << farthest << " radii, velocities by " << fastest << " m/s after " << few_steps
+                               << " steps");
+      CHECK(farthest < 1e-12);
+      CHECK(fastest < 1e-9);
+      CHECK(fastest > 0);
     }
   }
 }

@@ -411,7 +411,7 @@ TEST_CASE("Grains and nodes get opposite forces; the moments differ by |F_s| U/2
   CHECK((contact.foot - at).norm() < 1e-13);
 
   const Vec3 balance = p.force(0) + sum(surface.nodal_force());
-  Vec3 moment = p.position(0).cross(p.force(0)) + p.torque(0);
+  Vec3 moment = p.moment(0);
   for (std::size_t i = 0; i < surface.node_count(); ++i)
     moment += surface.positions()[i].cross(surface.nodal_force()[i]);
   const Vec3 shear = p.force(0) - p.force(0).dot(normal) * normal;

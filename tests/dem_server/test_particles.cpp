@@ -33,7 +33,9 @@ Particles crowd(const std::vector<int>& pebbles, std::uint64_t seed = 1) {
     const double radius = random.uniform(0.02, 0.03), density = random.uniform(2000, 3000);
     const Vec3 center = any();
     const std::int32_t b = p.add(make_clump(count, 1.5), radius, density, center, random.rotation());
-    p.velocity(b) = any(), p.spin(b) = any(), p.force(b) = any(), p.torque(b) = any();
+    p.velocity(b) = any(), p.spin(b) = any();
+    const Vec3 force = any(), torque = any();
+    p.set_loads(b, force, torque);
   }
   return p;
 }

@@ -89,7 +89,7 @@ TEST_CASE("Contacts with walls in lanes have the bits of the law, one by one") {
         const Vec3 center(0.1, 0.2, 0.3);
         kernels.add_up(presses.data(), count, center.data(), sums);
 
-        std::vector<Vec3> force(9, Vec3::Zero()), torque(9, Vec3::Zero());
+        std::vector<Vec3> force(9, Vec3::Zero()), moment(9, Vec3::Zero());
         Vec3 all_forces = Vec3::Zero(), all_moments = Vec3::Zero();
         double all_slip = 0, all_energy = 0;
         int sliding = 0;
@@ -134,7 +134,7 @@ TEST_CASE("Contacts with walls in lanes have the bits of the law, one by one") {
           CHECK(first(spring.nx) == history.normal);
           CHECK((spring.pebble == t.pebble && spring.body == t.body && spring.part == t.part && press.part == t.part));
           force[b] += result.force_on_a;
-          torque[b] += lever.cross(result.force_on_a);
+          moment[b] += point.cross(result.force_on_a);
           all_forces += result.force_on_a;
           all_moments += (point - center).cross(result.force_on_a);
           all_slip += result.slip_work, all_energy += press.elastic_energy;
@@ -143,7 +143,7 @@ TEST_CASE("Contacts with walls in lanes have the bits of the law, one by one") {
         if (count == 21) CHECK((sliding > 2 && sliding < 19));
         for (std::size_t b = 0; b < 9; ++b) {
           CHECK(first(crowd.loads[b].fx) == force[b]);
-          CHECK(first(crowd.loads[b].tx) == torque[b]);
+          CHECK(first(crowd.loads[b].mx) == moment[b]);
         }
         CHECK(first(sums.fx) == all_forces);
         CHECK(first(sums.mx) == all_moments);
