@@ -110,12 +110,14 @@ void PairContacts::update(const Particles& particles, Team& team, std::span<cons
                   "pebbles were added or removed without clear_history");
   const bool is_shared_out = partition_.size() == parts_for(team);
   ++age_;
-  if (has_lists_ && is_shared_out && !has_left(particles, team, ways)) return;
+  const bool has_learned = are_limits_guesses_ && age_ >= short_list_age;
+  if (has_lists_ && is_shared_out && !has_left(particles, team, ways) && !has_learned) return;
   const double ended_skin = skin_;
+  const int ended_age = age_;
   if (has_lists_) adapt_skin();
   age_ = 0;
   renew_outer(particles, ended_skin, team);
-  refresh_inner(particles, ended_skin, team);
+  refresh_inner(particles, ended_skin, ended_age, team);
 }
 
 void PairContacts::adapt_skin() {
@@ -311,11 +313,13 @@ void PairContacts::rebuild_outer(const Particles& particles, Team& team) {
 
 // Limits follow what each pebble used of its last one. `ended_skin` is that of the list that ends: a pebble that has used its
 // half of it up is fast.
-void PairContacts::refresh_inner(const Particles& particles, double ended_skin, Team& team) {
+void PairContacts::refresh_inner(const Particles& particles, double ended_skin, int ended_age, Team& team) {
   const std::size_t pebbles = particles.pebble_count();
   const SphereRecord* record = particles.pebbles();
   const double growth = used_up(particles), outer_growth = outer_used_up(particles);
   const double widest = 0.5 * skin_, tightest = tightest_limit * widest;
+  const double memory =
+      are_limits_guesses_ ? 0 : std::pow(limit_memory, static_cast<double>(ended_age) / short_list_age);
   const bool has_marks = marks_.size() == pebbles;
   marks_.resize(pebbles);
   reach_.resize(pebbles);
@@ -331,7 +335,7 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
           limit = 0.5 * outer_reach_ - std::sqrt(squared_distance(record[p], outer_marks_[p])) - outer_growth;
           reach = far_away;
         } else {
-          limit = std::clamp(std::max(limit_margin * used, limit_memory * mark.radius), tightest, widest);
+          limit = std::clamp(std::max(limit_margin * used, memory * mark.radius), tightest, widest);
           reach = record[p].radius + limit;
         }
       }
@@ -340,6 +344,7 @@ void PairContacts::refresh_inner(const Particles& particles, double ended_skin, 
       mark.radius = limit;
     }
   });
+  are_limits_guesses_ = !has_marks;
   growth_ = particles.growth();
   strain_mark_ = strained_;
   slack_.assign(chunk_count(particles), 0);

@@ -20,7 +20,8 @@
 // that do not touch (2.3 entries a contact instead of 1.4 in the paper's case at S/D = 0.05). Half the skin is the widest limit. A pebble that has
 // used that up while all others have hardly moved, a rattler flying in its cage, would renew the list again and again; such
 // a pebble gets all its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. When it
-// has used that up, it alone is listed anew in the outer list. Displacements are exact travel, not sums of speeds. The skin
+// has used that up, it alone is listed anew in the outer list. The first list knows nothing of its pebbles: it has the widest limit for all
+// and is renewed soon. Displacements are exact travel, not sums of speeds. The skin
 // follows the motion: lists that do not last get a wider one, lists that last for long a tighter one; only counts of steps
 // decide, so that a run repeats itself.
 //
@@ -170,7 +171,7 @@ class PairContacts {
   void list_anew(const Particles& particles, const std::vector<std::int32_t>& strays);
   void adapt_skin();
   void rebuild_outer(const Particles& particles, Team& team);
-  void refresh_inner(const Particles& particles, double ended_skin, Team& team);
+  void refresh_inner(const Particles& particles, double ended_skin, int ended_age, Team& team);
   Vec3 shift_between(const Particles& particles, std::int32_t i, std::int32_t j) const;
   std::span<const std::int32_t> near_partners(const Particles& particles, std::int32_t i, const std::int32_t* partners,
                                               std::span<std::int32_t> near) const;
@@ -183,10 +184,11 @@ class PairContacts {
   std::int32_t chunk_body(const Particles& particles, std::size_t chunk) const;
   std::int32_t chunk_pebble(const Particles& particles, std::size_t chunk) const;
 
-  double first_skin_;       // [m]
-  double skin_;             // of the present inner list [m]
-  double outer_reach_ = 0;  // largest gap that the outer list took [m]
-  int age_ = 0;             // of the inner list, in updates
+  double first_skin_;                // [m]
+  double skin_;                      // of the present inner list [m]
+  double outer_reach_ = 0;           // largest gap that the outer list took [m]
+  int age_ = 0;                      // of the inner list, in updates
+  bool are_limits_guesses_ = false;  // of the first list, that no other came before
   std::optional<Vec3> period_;
   InstructionSet instructions_;
   GrainMaterial material_;
