@@ -35,6 +35,26 @@ inline PebbleRange pebbles_of_part(const Particles& particles, const Partition& 
   return {particles.pebble_begin(first), particles.pebble_begin(last)};
 }
 
+// A sphere around each so many pebbles, one after the other, and all that they reach: what keeps clear of it keeps clear of
+// them. Neighbours in the list are neighbours in space, so that a wall looks at few groups' pebbles.
+inline constexpr std::size_t pebble_group = 64;
+inline std::vector<SphereRecord> groups_of(const Particles& particles, const TravelLimits& limits) {
+  std::vector<SphereRecord> groups;
+  const std::size_t pebbles = particles.pebble_count();
+  const SphereRecord* at = limits.marks ? limits.marks : particles.pebbles();
+  for (std::size_t first = 0; first < pebbles; first += pebble_group) {
+    Vec3 low = Vec3(&at[first].x), high = low;
+    double reach = 0;
+    for (std::size_t p = first; p < std::min(first + pebble_group, pebbles); ++p) {
+      low = low.cwiseMin(Vec3(&at[p].x)), high = high.cwiseMax(Vec3(&at[p].x));
+      reach = std::max(reach, particles.pebble_radius(p) + (limits.marks ? limits.limit(p) : 0));
+    }
+    const Vec3 center = 0.5 * (low + high);
+    groups.push_back({center.x(), center.y(), center.z(), 0.5 * (high - low).norm() + reach});
+  }
+  return groups;
+}
+
 class WallCandidates {
  public:
   // Whether the list still holds for these limits and so many pebbles.
@@ -46,17 +66,27 @@ class WallCandidates {
   void forget() { is_known_ = false; }
 
   // Lists anew. could_touch(pebble, center, reach, extra) says whether a sphere of radius `reach` around `center` meets
-  // the wall and may add what else it found to `extra`. `allowance` [m].
+  // the wall and may add what else it found to `extra`. `allowance` [m]. With `groups`, groups_of() these limits, pebbles
+  // of a group whose sphere does not meet the wall are not asked for.
   template <class CouldTouch>
   void renew(const Particles& particles, const TravelLimits& limits, double allowance, Team& team,
-             const Partition& partition, CouldTouch&& could_touch) {
+             const Partition& partition, CouldTouch&& could_touch, const std::vector<SphereRecord>& groups = {}) {
     parts_.resize(static_cast<std::size_t>(partition.parts(team.size())));
     team.run_parts(partition.parts(team.size()), [&](int k) {
       Part& part = parts_[static_cast<std::size_t>(k)];
       part.pebbles.clear(), part.extra_end.clear(), part.extra.clear();
       const PebbleRange range = pebbles_of_part(particles, partition, team.size(), k);
+      std::int32_t clear_until = range.begin;
       for (std::int32_t p = range.begin; p < range.end; ++p) {
         const auto i = static_cast<std::size_t>(p);
+        if (!groups.empty() && (p == range.begin || i % pebble_group == 0)) {
+          const SphereRecord& group = groups[i / pebble_group];
+          const double reach = group.radius + (limits.marks ? allowance : 0);
+          std::vector<std::int32_t> unused;
+          if (!could_touch(i, Vec3(group.x, group.y, group.z), reach, unused))
+            clear_until = static_cast<std::int32_t>((i / pebble_group + 1) * pebble_group);
+        }
+        if (p < clear_until) continue;
         const SphereRecord& at = limits.marks ? limits.marks[i] : particles.pebbles()[i];
         const double reach = particles.pebble_radius(i) + (limits.marks ? limits.limit(i) + allowance : 0);
         if (!could_touch(i, Vec3(at.x, at.y, at.z), reach, part.extra)) continue;

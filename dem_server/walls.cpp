@@ -282,8 +282,10 @@ bool Walls::is_moving(const Wall& wall) const {
 void Walls::renew_candidates(const Particles& particles, const TravelLimits& limits, Team& team,
                              const Partition& partition) {
   double allowance = 0;
+  std::vector<SphereRecord> groups;
   for (Wall& wall : walls_) {
     if (wall.candidates.is_fresh(limits, particles.pebble_count())) continue;
+    if (groups.empty()) groups = groups_of(particles, limits);
     if (allowance == 0) {  // not yet looked up
       allowance = wall_allowance * particles.mean_radius();
       largest_radius_ = particles.largest_radius();
@@ -305,7 +307,8 @@ void Walls::renew_candidates(const Particles& particles, const TravelLimits& lim
                                 particles, limits, allowed, team, partition,
                                 [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>&) {
                                   return shape.closest(to_local * (x - state.center)).distance < reach;
-                                });
+                                },
+                                groups);
                           }},
                wall.shape);
     if (spin_of(wall).isZero(0) || wall.turns_in_itself) continue;
@@ -629,12 +632,13 @@ PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, do
   if (!candidates_.is_fresh(limits, particles.pebble_count())) {
     largest_radius_ = particles.largest_radius();
     const double allowance = velocity_ != 0 ? wall_allowance * particles.mean_radius() : 0.0;
-    candidates_.renew(particles, limits, allowance, team, partition,
-                      [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>&) {
-                        const double beside = shape_.radius + reach;  // nearly all pebbles are farther off
-                        return x.z() > tip_z_ - reach && x.head<2>().squaredNorm() < beside * beside &&
-                               closest(x).distance < reach;
-                      });
+    candidates_.renew(
+        particles, limits, allowance, team, partition,
+        [&](std::size_t, const Vec3& x, double reach, std::vector<std::int32_t>&) {
+          const double beside = shape_.radius + reach;  // nearly all pebbles are farther off
+          return x.z() > tip_z_ - reach && x.head<2>().squaredNorm() < beside * beside && closest(x).distance < reach;
+        },
+        groups_of(particles, limits));
   }
   const int parts = partition.parts(team.size());
   contacts_.begin(1, parts);
