@@ -1,5 +1,5 @@
 // The motion of a stretch of bodies over one step, eight at a time (integrator.hpp has the equations). Compiled once for
-// each instruction set, like the pair kernel, with the same bits.
+// each instruction set, like the pair kernel, with the same bits from AVX2 and AVX-512.
 #pragma once
 #include "dem_server/records.hpp"
 
