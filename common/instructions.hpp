@@ -1,5 +1,5 @@
-// Which instructions the kernels use. AVX2 and AVX-512 give the same bits; so does the generic set but for the grains, whose kernels
-// round products and their sums once where they can (multiply_add() in lanes.hpp).
+// Which instructions the kernels use. AVX2 and AVX-512 give the same bits; so does the generic set but for the grains,
+// whose kernels round products and their sums once where they can (multiply_add() in lanes.hpp).
 #pragma once
 #include <string_view>
 #include <vector>

@@ -14,16 +14,16 @@
 // entry in its `border`, before its own chunks, which keeps the order of the list for each body. So nothing is shared
 // while forces are summed, and any number of threads gives the same bits.
 //
-// WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is not in
-// the inner list has a gap of at least h_i + h_j, so both may go so far. What a pebble used of its last limit tells what it
-// needs next: beside a pile grains move much faster than farther off, and one limit for all would fill the list with pairs
-// that do not touch (2.3 entries a contact instead of 1.4 in the paper's case at S/D = 0.05). Half the skin is the widest limit. A pebble that has
-// used that up while all others have hardly moved, a rattler flying in its cage, would renew the list again and again; such
-// a pebble gets all its outer partners into the inner list, and in exchange a limit of what the outer skin leaves. When it
-// has used that up, it alone is listed anew in the outer list. The first list knows nothing of its pebbles: it has the widest limit for all
-// and is renewed soon. Displacements are exact travel, not sums of speeds. The skin
-// follows the motion: lists that do not last get a wider one, lists that last for long a tighter one; only counts of steps
-// decide, so that a run repeats itself.
+// WHEN A LIST IS RENEWED. Each pebble has a limit h: how far it may move from where the list found it. A pair that is not
+// in the inner list has a gap of at least h_i + h_j, so both may go so far. What a pebble used of its last limit tells
+// what it needs next: beside a pile grains move much faster than farther off, and one limit for all would fill the list
+// with pairs that do not touch (2.3 entries a contact instead of 1.4 in the paper's case at S/D = 0.05). Half the skin is
+// the widest limit. A pebble that has used that up while all others have hardly moved, a rattler flying in its cage, would
+// renew the list again and again; such a pebble gets all its outer partners into the inner list, and in exchange a limit
+// of what the outer skin leaves. When it has used that up, it alone is listed anew in the outer list. The first list knows
+// nothing of its pebbles: it has the widest limit for all and is renewed soon. Displacements are exact travel, not sums of
+// speeds. The skin follows the motion: lists that do not last get a wider one, lists that last for long a tighter one;
+// only counts of steps decide, so that a run repeats itself.
 //
 // Rejected: one record per contact gathered by body (1.7 times slower), a list walked twice (both bodies; same),
 // structure-of-arrays (no faster for pairs).
