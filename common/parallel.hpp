@@ -49,17 +49,22 @@ class Team {
     run_all(call, const_cast<void*>(static_cast<const void*>(&task)));
   }
 
-  // task(0) .. task(parts - 1), each once. Who is free takes the next one: a thread that another process keeps from its core
-  // leaves more to the others instead of holding them up.
+  // task(0) .. task(parts - 1), each once. A thread begins with its own share, whose data its core still has from the last
+  // call, and then takes what others have not begun: one that another process keeps from its core leaves more to the
+  // others instead of holding them up.
   template <class Task>
   void run_parts(int parts, Task&& task) {
     if (size() == 1) {
       for (int part = 0; part < parts; ++part) task(part);
       return;
     }
-    std::atomic<int> next = 0;
-    run([&](int) {
-      for (int part = next++; part < parts; part = next++) task(part);
+    std::vector<std::atomic<bool>> is_taken(static_cast<std::size_t>(parts));
+    run([&](int thread) {
+      const int first = parts * thread / size();
+      for (int k = 0; k < parts; ++k) {
+        const int part = (first + k) % parts;
+        if (!is_taken[static_cast<std::size_t>(part)].exchange(true, std::memory_order_relaxed)) task(part);
+      }
     });
   }
 
