@@ -11,6 +11,7 @@
 //   SphereRecord  x y z R         32 B   per body (R_eq), and per pebble where there are clumps
 //   MotionRecord  v R w m         64 B   per body
 //   LoadRecord    F . M .         64 B   per body, about the origin
+//   TwistRecord   v m w R         64 B   per body where there are clumps, of its point at the origin
 //
 // Behind the last body and the last pebble stands one more record each, far away and without size: list entries that
 // only fill up a block of entries point there.

@@ -878,8 +878,8 @@ TEST_CASE("grains at rest have tight limits, and no contact is missed when they 
 }
 
 TEST_CASE("lists that know the ways of the pebbles are renewed at the same steps as lists that look at all of them") {
-  // Ways are bounds: of spheres they are exact, of clumps the longest way of a centre and the
-  // longest of a turn are added, twice too long at most.
+  // Ways are bounds: of spheres they are exact, of clumps the longest way of a centre and the longest of a turn are added. Of
+  // a row's two ends one goes at least as far as each of the two: the sum is twice too long at most.
   for (const int pebbles : {1, 3}) {
     FreeGrains looking = cloud(pebbles, 0.002), told = cloud(pebbles, 0.002);
     told.tells_ways = true;
