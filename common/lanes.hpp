@@ -138,6 +138,7 @@ LOCKSTEP_INLINE Lanes3 select(Mask which, const Lanes3& yes, const Lanes3& no) {
 struct Lanes4 {
   Lanes x, y, z, w;
 };
+LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
 
 #if defined(__AVX512F__)
 LOCKSTEP_INLINE Lanes join(Row a, Row b) { return _mm512_insertf64x4(_mm512_castpd256_pd512(a), b, 1); }

@@ -69,13 +69,7 @@ ClumpTemplate make_clump(int pebbles, double elongation) {
     throw InputError(fmt::format("grains.pebbles = {}: must lie in [1, {}]", pebbles, most_pebbles));
   if (!(elongation >= 1 && elongation <= 2))
     throw InputError(fmt::format("grains.elongation = {}: must lie in [1, 2]", elongation));
-  if (pebbles == 1 || elongation == 1) {
-    ClumpTemplate sphere;
-    sphere.pebble_center = {Vec3::Zero()};
-    sphere.pebble_radius = {1.0};
-    sphere.inertia_per_mass = Vec3::Constant(sphere_inertia);
-    return sphere;
-  }
+  if (pebbles == 1 || elongation == 1) return unit_sphere();
   // Half axes A = elongation, B = 1.
   if (pebbles == 2) return row_of_pebbles({1 - elongation, elongation - 1}, {1, 1});
   const double outermost = elongation - 1 / elongation;  // A - B^2/A

@@ -10,7 +10,7 @@
 // Volume, mass and inertia are those of the UNION of the pebbles: adding pebbles up counts their overlaps twice and
 // makes a 3-pebble clump 26 % too heavy, a 9-pebble clump 319 %.
 #pragma once
-#include "dem_server/particles.hpp"
+#include "dem_server/shapes.hpp"
 
 namespace lockstep::dem {
 

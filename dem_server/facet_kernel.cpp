@@ -15,7 +15,6 @@ constexpr double last_newton_step = 1e-8;  // as there
 constexpr double convexity = 1 - 1e-9;     // as there
 constexpr double largest_warp = 0.01;      // as there
 
-LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
 LOCKSTEP_INLINE Lanes size_of(Lanes v) { return larger(v, -v); }
 LOCKSTEP_INLINE Lanes3 over(const Lanes3& a, Lanes s) { return {a.x / s, a.y / s, a.z / s}; }
 

@@ -88,52 +88,77 @@ LOCKSTEP_INLINE Lanes4 turned_freely(const Lanes4& q, Lanes3& p, const Lanes3& m
   return {scale * r.x, scale * r.y, scale * r.z, scale * r_w};
 }
 
-// 1/a, 1/b, 1/c, 1/d by one division, which takes as long as sixteen products.
-LOCKSTEP_INLINE Lanes4 inverses(Lanes a, Lanes b, Lanes c, Lanes d) {
-  const Lanes ab = a * b, cd = c * d, all = lanes(1) / (ab * cd);
-  const Lanes of_ab = all * cd, of_cd = all * ab;
-  return {of_ab * b, of_ab * a, of_cd * d, of_cd * c};
+// What the shapes of `width` bodies say. `one` is that of all of them, or null.
+struct Shapes {
+  Lanes4 inertia;  // principal moments [m R_eq^2], and whether it is a clump
+  Lanes4 inverse;  // of these moments, and the square of the farthest pebble's distance [R_eq^2]
+  const ShapeRecord* one;
+};
+
+template <bool is_whole>
+LOCKSTEP_INLINE Shapes shapes_of(const MotionStretch& s, std::int32_t first, int count) {
+  const std::int32_t* numbers = s.shape_numbers + first;
+  std::int32_t differences = 0;
+  if (is_whole)
+    for (int l = 1; l < width; ++l) differences |= numbers[l] ^ numbers[0];
+  if (is_whole && differences == 0) {
+    const ShapeRecord& shape = s.shapes[numbers[0]];
+    return {{lanes(shape.i1), lanes(shape.i2), lanes(shape.i3), lanes(shape.is_clump)},
+            {lanes(shape.over_i1), lanes(shape.over_i2), lanes(shape.over_i3), lanes(shape.farthest_square)},
+            &shape};
+  }
+  Row moments[width], inverses[width];
+  for (int l = 0; l < width; ++l) {
+    const ShapeRecord& shape = s.shapes[numbers[l < count ? l : 0]];
+    moments[l] = row(&shape.i1), inverses[l] = row(&shape.over_i1);
+  }
+  return {transpose(moments), transpose(inverses), nullptr};
 }
 
-// `count` bodies whose pebbles are not yet placed, and the square of how far a point at unit distance was turned.
+// `count` bodies whose pebbles are not yet placed.
 struct Poses {
   Rotation rotation;
   Lanes3 center;
-  Lanes turn_square;
+  Lanes radius;
+  const ShapeRecord* shape;  // of all of them, or null
   std::int32_t first;
   int count = 0;
 };
 
 // The k-th pebbles of all bodies together; one that has fewer places its last again.
 template <bool is_whole>
-LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, const Poses& poses, int begin, Sum8& turn_square) {
-  const int count = is_whole ? width : poses.count;
-  const std::int32_t* first = s.pebble_begin + poses.first;
-  std::int32_t most = 0;
-  bool are_alike = true;
-  for (int l = 0; l < count; ++l) {
-    const std::int32_t pebbles = first[l + 1] - first[l];
-    are_alike &= pebbles == first[1] - first[0];
-    most = pebbles > most ? pebbles : most;
-  }
+LOCKSTEP_INLINE void place_pebbles(const MotionStretch& s, const Poses& poses) {
+  const std::int32_t* begins = s.pebble_begin + poses.first;
   const Rotation& turned = poses.rotation;
-  Lanes farthest{};  // from the centres, squared
-  const auto place = [&](auto&& pebble_of) {
-    Row rows[width];
-    for (int l = 0; l < width; ++l) rows[l] = row(&s.offsets[pebble_of(is_whole || l < count ? l : 0)].x);
-    const Lanes4 o = transpose(rows);
-    farthest = larger(farthest, fused_dot({o.x, o.y, o.z}, {o.x, o.y, o.z}));
-    const Lanes3 at =
-        multiply_add(o.z, turned.z, multiply_add(o.y, turned.y, multiply_add(o.x, turned.x, poses.center)));
-    transpose({at.x, at.y, at.z, o.w}, rows);
-    for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.pebbles[pebble_of(l)].x) = rows[l];
+  Row rows[width];
+  const auto placed = [&](const Lanes4& pebble) {
+    Lanes3 at = multiply_add(poses.radius * pebble.x, turned.x, poses.center);
+    if (!s.are_rows)
+      at = multiply_add(poses.radius * pebble.z, turned.z, multiply_add(poses.radius * pebble.y, turned.y, at));
+    transpose({at.x, at.y, at.z, poses.radius * pebble.w}, rows);
   };
-  if (is_whole && are_alike)
-    for (std::int32_t k = 0; k < most; ++k) place([&](int l) { return first[0] + l * most + k; });
-  else
-    for (std::int32_t k = 0; k < most; ++k)
-      place([&](int l) { return first[l] + k < first[l + 1] ? first[l] + k : first[l + 1] - 1; });
-  turn_square.raise(begin, poses.turn_square * farthest);
+  const auto store_row = [&](std::int32_t pebble, int l) { *reinterpret_cast<Row*>(&s.pebbles[pebble].x) = rows[l]; };
+  if (is_whole && poses.shape) {
+    const std::int32_t pebbles = poses.shape->pebbles;
+    const SphereRecord* shape = s.shape_pebbles + poses.shape->first_pebble;
+    for (std::int32_t k = 0; k < pebbles; ++k) {
+      placed({lanes(shape[k].x), lanes(shape[k].y), lanes(shape[k].z), lanes(shape[k].radius)});
+      for (int l = 0; l < width; ++l) store_row(begins[0] + l * pebbles + k, l);
+    }
+    return;
+  }
+  const ShapeRecord* shapes[width];
+  std::int32_t most = 0;
+  for (int l = 0; l < width; ++l) {
+    shapes[l] = &s.shapes[s.shape_numbers[poses.first + (l < poses.count ? l : 0)]];
+    most = shapes[l]->pebbles > most ? shapes[l]->pebbles : most;
+  }
+  for (std::int32_t k = 0; k < most; ++k) {
+    const auto of = [&](int l) { return k < shapes[l]->pebbles ? k : shapes[l]->pebbles - 1; };
+    for (int l = 0; l < width; ++l) rows[l] = row(&s.shape_pebbles[shapes[l]->first_pebble + of(l)].x);
+    placed(transpose(rows));
+    for (int l = 0; l < poses.count; ++l) store_row(begins[l] + of(l), l);
+  }
 }
 
 // `width` bodies from `first` on, in the lanes that begin at `begin`; fewer, `count`, at the end of a stretch. Pebbles are
@@ -146,7 +171,7 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   SphereRecord no_body = {0, 0, 0, 1};
   MotionRecord no_motion = {0, 0, 0, 1, 0, 0, 0, 0};
   LoadRecord no_load{};
-  AttitudeRecord no_attitude = {0, 0, 0, 1, 1, 1, 1, 0};
+  AttitudeRecord no_attitude = {0, 0, 0, 1};
   const Lanes zero{}, one = lanes(1);
   const Lanes3 none = {zero, zero, zero};
   const double dt = step.mean_step;
@@ -172,15 +197,14 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   if (s.is_fixed)
     for (int l = 0; l < count; ++l) moves[l] = s.is_fixed[first + l] ? 0 : -1;
   const Lanes mass = select(moves, w.w, zero);
-  Lanes4 inertia{};     // principal moments, and whether it is a clump
-  Lanes3 own_mobility;  // 1/I
-  Lanes mobility;       // 1/m
+  const Lanes radius_square = place.w * place.w;
+  Shapes shapes{};
+  Lanes inverse = zero;  // 1/(m R^2): one division for what takes four
+  Lanes mobility;        // 1/m
   if constexpr (has_clumps) {
-    for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->i1);
-    inertia = transpose(rows);
-    const Lanes4 inverse = inverses(inertia.x, inertia.y, inertia.z, w.w);
-    own_mobility = {inverse.x, inverse.y, inverse.z};
-    mobility = inverse.w;
+    shapes = shapes_of<is_whole>(s, first, count);
+    inverse = one / (w.w * radius_square);
+    mobility = inverse * radius_square;
   } else {
     mobility = one / w.w;
   }
@@ -197,7 +221,7 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   const Lanes3 mean = lanes(0.5) * (before + after);
   const Lanes square = fused_dot(after, after);
   sum.square.raise(begin, square);
-  too_fast |= ~(square <= fastest_square * (place.w * place.w));
+  too_fast |= ~(square <= fastest_square * radius_square);
   if constexpr (has_works) {
     sum.translation.add(begin, 0.5 * mass * dot(before, after));
     sum.gravity_work.add(begin, dt * dot(mass * gravity, mean));
@@ -217,7 +241,7 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   Lanes3 next_spin = spin, middle = spin;  // the second: mean of the spins before and after, at the attitude of t_n
   Lanes rotation_energy = zero;
   const auto as_sphere = [&] {
-    const Lanes square_radius = sphere_inertia * (place.w * place.w);  // of gyration
+    const Lanes square_radius = sphere_inertia * radius_square;  // of gyration
     next_spin = multiply_add(dt * (mobility / square_radius), torque, spin);
     middle = lanes(0.5) * (spin + next_spin);
     rotation_energy = 0.5 * (mass * square_radius) * fused_dot(spin, next_spin);
@@ -226,26 +250,26 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   if constexpr (has_clumps) {
     for (int l = 0; l < width; ++l) rows[l] = row(&of(s.attitudes, no_attitude, l)->qx);
     const Lanes4 q = transpose(rows);
-    const Mask is_clump = inertia.w != zero;
+    const Mask is_clump = shapes.inertia.w != zero;
     if (any(~is_clump)) as_sphere();
     // In body axes: spin, momentum p.
     const Rotation at = rotation_of(q);
     const Lanes3 own_spin = at.to_body(spin), own_torque = at.to_body(torque);
-    Lanes3 p =
-        multiply_add(lanes(dt), own_torque, {inertia.x * own_spin.x, inertia.y * own_spin.y, inertia.z * own_spin.z});
-    const auto spin_of = [&](const Lanes3& momentum) -> Lanes3 {
-      return {own_mobility.x * momentum.x, own_mobility.y * momentum.y, own_mobility.z * momentum.z};
-    };
+    const auto each = [](const Lanes3& a, const Lanes3& b) -> Lanes3 { return {a.x * b.x, a.y * b.y, a.z * b.z}; };
+    const Lanes3 inertia = (w.w * radius_square) * xyz(shapes.inertia), own_mobility = inverse * xyz(shapes.inverse);
+    Lanes3 p = multiply_add(lanes(dt), own_torque, each(inertia, own_spin));
+    const auto spin_of = [&](const Lanes3& momentum) { return each(own_mobility, momentum); };
     middle = select(is_clump, at.to_world(lanes(0.5) * (own_spin + spin_of(p))), middle);
     rotation_energy = select(is_clump, 0.5 * fused_dot(own_spin, p), rotation_energy);
     const Mask turns = is_clump & moves;
     Lanes turn_square;
-    const Lanes4 turned = turned_freely(q, p, own_mobility, inertia.z == inertia.y, step.next_step, turn_square);
+    const Lanes4 turned =
+        turned_freely(q, p, own_mobility, shapes.inertia.z == shapes.inertia.y, step.next_step, turn_square);
     const Lanes4 attitude = {select(turns, turned.x, q.x), select(turns, turned.y, q.y), select(turns, turned.z, q.z),
                              select(turns, turned.w, q.w)};
-    if (poses.count > 0) place_pebbles<true>(s, poses, begin, sum.turn_square);
+    sum.turn_square.raise(begin, select(turns, turn_square * (radius_square * shapes.inverse.w), zero));
+    if (poses.count > 0) place_pebbles<true>(s, poses);
     rotation = rotation_of(attitude);
-    poses.turn_square = select(turns, turn_square, zero);
     next_spin = select(is_clump, rotation.to_world(spin_of(p)), next_spin);
     transpose(attitude, rows);
     for (int l = 0; l < count; ++l) *reinterpret_cast<Row*>(&s.attitudes[first + l].qx) = rows[l];
@@ -265,6 +289,8 @@ LOCKSTEP_INLINE void move(const MotionStretch& s, const MotionStep& step, std::i
   if constexpr (has_clumps) {
     poses.rotation = rotation;
     poses.center = position;
+    poses.radius = place.w;
+    poses.shape = shapes.one;
     poses.first = first;
     poses.count = count;
   }
@@ -289,7 +315,7 @@ void run(const MotionStretch& s, const MotionStep& step, MotionSums& sums) {
   for (; first + width <= s.end; first += width, begin = (begin + width) % block)
     move<has_clumps, detail, true>(s, step, first, width, begin, poses, sum, too_fast);
   if (first < s.end) move<has_clumps, detail, false>(s, step, first, s.end - first, begin, poses, sum, too_fast);
-  if (has_clumps && poses.count > 0) place_pebbles<false>(s, poses, begin, sum.turn_square);
+  if (has_clumps && poses.count > 0) place_pebbles<false>(s, poses);
   sums.too_fast = any(too_fast) ? 1 : 0;
   sums.largest_square = sum.square.largest();
   sums.way = step.next_step * __builtin_sqrt(sums.largest_square) + __builtin_sqrt(sum.turn_square.largest());

@@ -11,8 +11,11 @@ struct MotionStretch {
   LoadRecord* loads;  // zero afterwards
   // Of clumps only.
   AttitudeRecord* attitudes;
+  const ShapeRecord* shapes;
+  const SphereRecord* shape_pebbles;  // of unit R_eq
+  bool are_rows;                      // all of these stand on the first axis
+  const std::int32_t* shape_numbers;  // per body
   const std::int32_t* pebble_begin;
-  const SphereRecord* offsets;
   SphereRecord* pebbles;
   TwistRecord* twists;      // of the new positions and velocities
   const char* is_fixed;     // per body; null: none

@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 static_assert(std::endian::native == std::endian::little, "packings are little-endian");
 
 constexpr std::string_view magic = "LKPACK\r\n";
-constexpr std::uint64_t format_version = 1;
+constexpr std::uint64_t format_version = 2;
 constexpr std::size_t word = 8;  // [bytes]
 constexpr std::size_t header_size = 4 * word;
 constexpr const char* remedy = "remove the file and let a run make it anew, or give another --packing";
@@ -95,6 +95,13 @@ class Reader {
     if (number > (bytes_.size() - at_) / least) fail();
     return static_cast<std::size_t>(number);
   }
+  // An index of one of `count` things.
+  std::size_t index(std::size_t count) {
+    std::uint64_t number = 0;
+    get(number);
+    if (number >= count) fail();
+    return static_cast<std::size_t>(number);
+  }
   void expect_end() const {
     if (at_ != bytes_.size()) fail();
   }
@@ -107,7 +114,7 @@ class Reader {
     return begin;
   }
   [[noreturn]] void fail() const {
-    throw InputError(fmt::format("{}: the packing's content ends amid a section, {} bytes from its beginning; {}",
+    throw InputError(fmt::format("{}: the packing's content makes no sense {} bytes from its beginning; {}",
                                  path_.string(), at_, remedy));
   }
 
@@ -260,48 +267,51 @@ Record get_record(Reader& reader) {
   return std::bit_cast<Record>(numbers);
 }
 
+template <class Io, class Shape>
+void shape_section(const Io& io, Shape& shape) {
+  io(shape.inertia_per_mass), io(shape.bounding_radius);
+  io.all(shape.pebble_center, [&](auto& center) { io(center); });
+  io.all(shape.pebble_radius, [&](auto& radius) { io(radius); });
+}
+
 void put_particles(Writer& writer, Particles particles) {
-  writer.put(static_cast<std::uint64_t>(particles.body_count()));
+  const Put io{writer};
   writer.put(particles.has_clumps());
+  const ShapeTable& shapes = particles.shapes();
+  writer.put(static_cast<std::uint64_t>(shapes.size()));
+  for (std::size_t k = 0; k < shapes.size(); ++k) shape_section(io, shapes[static_cast<std::int32_t>(k)]);
+  writer.put(static_cast<std::uint64_t>(particles.body_count()));
   for (std::size_t b = 0; b < particles.body_count(); ++b) {
     put_record(writer, particles.bodies()[b]);
     put_record(writer, particles.motion()[b]);
     if (!particles.has_clumps()) continue;
+    writer.put(particles.shape_numbers()[b]);
     put_record(writer, particles.attitudes()[b]);
-    writer.put(particles.pebble_end(b) - particles.pebble_begin(b));
-    for (auto p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p) {
-      put_record(writer, particles.offsets()[p]);
+    for (auto p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p)
       put_record(writer, particles.pebbles()[p]);
-    }
   }
 }
 
-// Bodies are added for their arrays alone and then overwritten.
+// Bodies are added for their arrays and shapes, and then overwritten.
 void get_particles(Reader& reader, Particles& particles) {
-  const std::size_t bodies = reader.count((sphere_numbers + motion_numbers) * word);
+  const Get io{reader};
   bool has_clumps = false;
   reader.get(has_clumps);
-  ClumpTemplate shape;
-  shape.inertia_per_mass = has_clumps ? Vec3(1, 2, 3) : Vec3::Constant(sphere_inertia);  // of any clump, of any sphere
+  std::vector<ClumpTemplate> shapes(reader.count(word));
+  for (ClumpTemplate& shape : shapes) shape_section(io, shape);
+  if (has_clumps) particles.become_clumps();
+  const std::size_t bodies = reader.count((sphere_numbers + motion_numbers) * word);
   for (std::size_t b = 0; b < bodies; ++b) {
     const auto place = get_record<SphereRecord>(reader);
     const auto motion = get_record<MotionRecord>(reader);
-    if (!has_clumps) {
-      shape.pebble_center = {Vec3::Zero()}, shape.pebble_radius = {1.0};
-      particles.add(shape, 1, 1, Vec3::Zero(), Quat::Identity());
-    } else {
-      const auto attitude = get_record<AttitudeRecord>(reader);
-      const std::size_t pebbles = reader.count(2 * sphere_numbers * word);
-      shape.pebble_center.assign(pebbles, Vec3::Zero()), shape.pebble_radius.assign(pebbles, 1.0);
-      particles.add(shape, 1, 1, Vec3::Zero(), Quat::Identity());
-      particles.attitudes()[b] = attitude;
-      for (auto p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p) {
-        particles.offsets()[p] = get_record<SphereRecord>(reader);
-        particles.pebbles()[p] = get_record<SphereRecord>(reader);
-      }
-    }
+    particles.add(has_clumps ? shapes[reader.index(shapes.size())] : unit_sphere(), 1, 1, Vec3::Zero(),
+                  Quat::Identity());
     particles.bodies()[b] = place;
     particles.motion()[b] = motion;
+    if (!has_clumps) continue;
+    particles.attitudes()[b] = get_record<AttitudeRecord>(reader);
+    for (auto p = particles.pebble_begin(b); p < particles.pebble_end(b); ++p)
+      particles.pebbles()[p] = get_record<SphereRecord>(reader);
   }
 }
 

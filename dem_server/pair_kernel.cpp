@@ -29,8 +29,6 @@ LOCKSTEP_INLINE void fetch_ahead(const PairState& s, const PairTile& pairs, cons
   }
 }
 
-LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
-
 // What the places of `width` entries say.
 struct Geometry {
   Lanes3 normal;

@@ -24,10 +24,6 @@ void push(LargeArray<Record>& records, const Record& value) {
 
 }  // namespace
 
-bool ClumpTemplate::is_sphere() const {
-  return pebble_center.size() == 1 && pebble_center[0].isZero(0) && inertia_per_mass == Vec3::Constant(sphere_inertia);
-}
-
 Particles::Particles() : bodies_{nowhere}, motion_{nothing}, loads_{LoadRecord{}} {}
 
 Quat Particles::orientation(std::size_t b) const { return has_clumps() ? quaternion(attitudes_[b]) : Quat::Identity(); }
@@ -39,28 +35,31 @@ void Particles::set_orientation(std::size_t b, const Quat& attitude) {
 }
 
 Vec3 Particles::inertia(std::size_t b) const {
-  if (has_clumps()) return {attitudes_[b].i1, attitudes_[b].i2, attitudes_[b].i3};
-  return Vec3::Constant(sphere_inertia * mass(b) * equivalent_radius(b) * equivalent_radius(b));
+  const double mass_radius_square = mass(b) * (equivalent_radius(b) * equivalent_radius(b));
+  return mass_radius_square * shape(b).inertia_per_mass;
+}
+
+const ClumpTemplate& Particles::shape(std::size_t b) const {
+  static const ClumpTemplate sphere = unit_sphere();
+  return has_clumps() ? shapes_[shape_number_[b]] : sphere;
 }
 
 Vec3 Particles::pebble_offset(std::size_t p) const {
-  return has_clumps() ? Vec3(offsets_[p].x, offsets_[p].y, offsets_[p].z) : Vec3::Zero();
+  if (!has_clumps()) return Vec3::Zero();
+  const auto b = static_cast<std::size_t>(pebble_body_[p]);
+  return equivalent_radius(b) * shape(b).pebble_center[p - static_cast<std::size_t>(pebble_begin_[b])];
 }
 
-// The first clump: what were spheres without attitude become clumps of one.
 void Particles::become_clumps() {
+  if (has_clumps()) return;
   const std::size_t count = body_count();
   pebble_begin_.resize(count + 2);
   for (std::size_t b = 0; b < count + 2; ++b) pebble_begin_[b] = static_cast<std::int32_t>(b);
   pebble_begin_[count + 1] = static_cast<std::int32_t>(count);
   pebble_body_.resize(count + 1);
   for (std::size_t p = 0; p <= count; ++p) pebble_body_[p] = static_cast<std::int32_t>(p);
-  for (std::size_t b = 0; b < count; ++b) {
-    const double moment = sphere_inertia * mass(b) * equivalent_radius(b) * equivalent_radius(b);
-    attitudes_.push_back({0, 0, 0, 1, moment, moment, moment, 0});
-    offsets_.push_back({0, 0, 0, equivalent_radius(b)});
-  }
-  offsets_.push_back({0, 0, 0, 0});
+  attitudes_.assign(count, {0, 0, 0, 1});
+  if (count > 0) shape_number_.assign(count, shapes_.number_of(unit_sphere()));
   pebbles_ = bodies_;
 }
 
@@ -68,7 +67,7 @@ std::int32_t Particles::add(const ClumpTemplate& shape, double radius, double de
                             const Quat& attitude) {
   LOCKSTEP_ASSERT(radius > 0 && density > 0, "radius {}, density {}", radius, density);
   forget_twists();
-  if (!has_clumps() && !shape.is_sphere()) become_clumps();
+  if (!shape.is_sphere()) become_clumps();
   const auto body = static_cast<std::int32_t>(body_count());
   const double mass = density * 4.0 / 3.0 * pi * radius * radius * radius;
   push(bodies_, {center.x(), center.y(), center.z(), radius});
@@ -77,14 +76,10 @@ std::int32_t Particles::add(const ClumpTemplate& shape, double radius, double de
   if (!has_clumps()) return body;
 
   const Quat unit = attitude.normalized();
-  const Vec3 moments = mass * radius * radius * shape.inertia_per_mass;
-  attitudes_.push_back(
-      {unit.x(), unit.y(), unit.z(), unit.w(), moments[0], moments[1], moments[2], shape.is_sphere() ? 0.0 : 1.0});
+  attitudes_.push_back({unit.x(), unit.y(), unit.z(), unit.w()});
+  shape_number_.push_back(shapes_.number_of(shape));
   for (std::size_t p = 0; p < shape.pebble_center.size(); ++p) {
-    const Vec3 offset = radius * shape.pebble_center[p];
-    const double pebble_radius = radius * shape.pebble_radius[p];
-    push(offsets_, {offset.x(), offset.y(), offset.z(), pebble_radius});
-    push(pebbles_, {center.x(), center.y(), center.z(), pebble_radius});
+    push(pebbles_, nowhere);  // placed below
     pebble_body_.insert(pebble_body_.end() - 1, body);
   }
   pebble_body_.back() = body + 1;
@@ -100,9 +95,12 @@ void Particles::place_pebbles(std::size_t b) {
   if (!has_clumps()) return;
   const Mat3 rotation = orientation(b).toRotationMatrix();
   const Vec3 center = std::as_const(*this).position(b);
-  for (std::int32_t p = pebble_begin(b); p < pebble_end(b); ++p) {
-    const Vec3 at = center + rotation * pebble_offset(p);
-    pebbles_[p] = {at.x(), at.y(), at.z(), offsets_[p].radius};
+  const double radius = equivalent_radius(b);
+  const ClumpTemplate& own = shape(b);
+  SphereRecord* pebble = &pebbles_[pebble_begin(b)];
+  for (std::size_t k = 0; k < own.pebble_center.size(); ++k) {
+    const Vec3 at = center + rotation * (radius * own.pebble_center[k]);
+    pebble[k] = {at.x(), at.y(), at.z(), radius * own.pebble_radius[k]};
   }
 }
 
@@ -118,21 +116,12 @@ void Particles::room_for_twists() {
 void Particles::scale_mass(std::size_t b, double factor) {
   forget_twists();
   motion_[b].mass *= factor;
-  if (!has_clumps()) return;
-  attitudes_[b].i1 *= factor, attitudes_[b].i2 *= factor, attitudes_[b].i3 *= factor;
 }
 
 void Particles::scale(std::size_t b, double factor) {
   bodies_[b].radius *= factor;
   motion_[b].radius = bodies_[b].radius;
   scale_mass(b, factor * factor * factor);
-  if (!has_clumps()) return;
-  const double square = factor * factor;
-  attitudes_[b].i1 *= square, attitudes_[b].i2 *= square, attitudes_[b].i3 *= square;
-  for (std::int32_t p = pebble_begin(b); p < pebble_end(b); ++p) {
-    SphereRecord& offset = offsets_[p];
-    offset = {factor * offset.x, factor * offset.y, factor * offset.z, factor * offset.radius};
-  }
   place_pebbles(b);
 }
 
@@ -147,7 +136,7 @@ void Particles::scale_all(double factor) {
 
 void Particles::append_copy(const Particles& from, std::size_t b, const Vec3& shift) {
   forget_twists();
-  if (!has_clumps() && from.has_clumps()) become_clumps();
+  if (from.has_clumps()) become_clumps();
   const auto body = static_cast<std::int32_t>(body_count());
   const auto moved = [&](const SphereRecord& r) -> SphereRecord {
     return {r.x + shift.x(), r.y + shift.y(), r.z + shift.z(), r.radius};
@@ -156,13 +145,10 @@ void Particles::append_copy(const Particles& from, std::size_t b, const Vec3& sh
   push(motion_, from.motion_[b]);
   push(loads_, LoadRecord{});
   if (!has_clumps()) return;
-  const Vec3 moments = from.inertia(b);
   const Quat attitude = from.orientation(b);
-  attitudes_.push_back({attitude.x(), attitude.y(), attitude.z(), attitude.w(), moments[0], moments[1], moments[2],
-                        from.has_clumps() ? from.attitudes_[b].is_clump : 0.0});
+  attitudes_.push_back({attitude.x(), attitude.y(), attitude.z(), attitude.w()});
+  shape_number_.push_back(shapes_.number_of(from.shape(b)));
   for (std::int32_t p = from.pebble_begin(b); p < from.pebble_end(b); ++p) {
-    const Vec3 offset = from.pebble_offset(p);
-    push(offsets_, {offset.x(), offset.y(), offset.z(), from.pebble_radius(p)});
     push(pebbles_, moved(from.pebbles()[p]));
     pebble_body_.insert(pebble_body_.end() - 1, body);
   }
@@ -193,16 +179,16 @@ void Particles::reorder(const std::vector<std::int32_t>& order) {
     for (std::size_t to = 0; to < count; ++to) {
       const std::int32_t from = order[to];
       next.attitudes_.push_back(attitudes_[from]);
+      next.shape_number_.push_back(shape_number_[from]);
       next.pebble_begin_.push_back(static_cast<std::int32_t>(next.pebbles_.size()));
       for (std::int32_t p = pebble_begin(from); p < pebble_end(from); ++p) {
         next.pebbles_.push_back(pebbles_[p]);
-        next.offsets_.push_back(offsets_[p]);
         next.pebble_body_.push_back(static_cast<std::int32_t>(to));
       }
     }
     next.pebble_begin_.insert(next.pebble_begin_.end(), 2, static_cast<std::int32_t>(next.pebbles_.size()));
     next.pebbles_.push_back(nowhere);
-    next.offsets_.push_back({0, 0, 0, 0});
+    next.shapes_ = std::move(shapes_);
     next.pebble_body_.push_back(static_cast<std::int32_t>(count));
   }
   *this = std::move(next);
@@ -253,15 +239,18 @@ void Particles::hash(Hash& h) const {
     h.add(equivalent_radius(b)), h.add(mass(b));
   }
   if (!has_clumps()) return;
-  for (const AttitudeRecord& a : attitudes_) h.add(Vec3(a.qx, a.qy, a.qz)), h.add(a.qw), h.add(Vec3(a.i1, a.i2, a.i3));
+  for (std::size_t b = 0; b < body_count(); ++b) {
+    const AttitudeRecord& a = attitudes_[b];
+    h.add(Vec3(a.qx, a.qy, a.qz)), h.add(a.qw), h.add(inertia(b));
+  }
   h.add(static_cast<std::uint64_t>(pebble_count()));
   for (std::size_t p = 0; p < pebble_count(); ++p) h.add(pebble_radius(p)), h.add(pebble_center(p));
 }
 
 std::size_t Particles::memory() const {
   const auto bytes = [](const auto& records) { return records.capacity() * sizeof(records[0]); };
-  return bytes(bodies_) + bytes(motion_) + bytes(loads_) + bytes(attitudes_) + bytes(pebble_begin_) + bytes(pebbles_) +
-         bytes(offsets_) + bytes(pebble_body_) + bytes(twists_);
+  return bytes(bodies_) + bytes(motion_) + bytes(loads_) + bytes(attitudes_) + bytes(shape_number_) +
+         bytes(pebble_begin_) + bytes(pebbles_) + bytes(pebble_body_) + bytes(twists_);
 }
 
 }  // namespace lockstep::dem

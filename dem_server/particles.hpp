@@ -5,12 +5,14 @@
 // pebble_end(b) - 1.
 //
 // What a contact gathers of a body stands in whole cache lines: 32 bytes of place, 64 of motion, 64 of loads. A crowd
-// of spheres has nothing else: its bodies are its pebbles, it keeps neither attitudes nor offsets. The first clump that
-// is added brings those arrays.
+// of spheres has nothing else: its bodies are its pebbles, it keeps neither attitudes nor shapes. The first clump that
+// is added brings those arrays. Moments and the pebbles' places within a body follow from its size and shape: no body has
+// its own.
 //
 //   SphereRecord  x y z R         32 B   per body (R_eq), and per pebble where there are clumps
 //   MotionRecord  v R w m         64 B   per body
 //   LoadRecord    F . M .         64 B   per body, about the origin
+//   AttitudeRecord  q             32 B   per body where there are clumps
 //   TwistRecord   v m w R         64 B   per body where there are clumps, of its point at the origin
 //
 // Behind the last body and the last pebble stands one more record each, far away and without size: list entries that
@@ -24,18 +26,9 @@
 #include "common/huge_pages.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/records.hpp"
+#include "dem_server/shapes.hpp"
 
 namespace lockstep::dem {
-
-// A rigid shape whose union of pebbles has the volume of the unit sphere, in its principal axes, about its centre of
-// mass. clumps.hpp makes them.
-struct ClumpTemplate {
-  Vec3s pebble_center;                   // [R_eq]
-  std::vector<double> pebble_radius;     // [R_eq]
-  Vec3 inertia_per_mass = Vec3::Zero();  // principal moments / (m R_eq^2); 0.4 each for a sphere
-  double bounding_radius = 1;            // [R_eq]
-  bool is_sphere() const;
-};
 
 class Particles {
  public:
@@ -67,6 +60,7 @@ class Particles {
   Quat orientation(std::size_t b) const;
   // Principal moments, body frame [kg m2].
   Vec3 inertia(std::size_t b) const;
+  const ClumpTemplate& shape(std::size_t b) const;
 
   // ---- of a pebble
   std::int32_t pebble_begin(std::size_t b) const {
@@ -82,10 +76,12 @@ class Particles {
   double pebble_radius(std::size_t p) const { return pebbles()[p].radius; }  // [m]
   Vec3 pebble_offset(std::size_t p) const;                                   // from the centre of mass, body frame [m]
 
+  // What the first clump does as well: from now on bodies have attitudes, shapes and pebbles of their own.
+  void become_clumps();
   // Adds a body at rest and returns its index.
   std::int32_t add(const ClumpTemplate& shape, double radius, double density, const Vec3& center, const Quat& attitude);
   void set_orientation(std::size_t b, const Quat& attitude);
-  // Density by a factor: mass and inertia.
+  // Density by a factor: mass, and with it inertia.
   void scale_mass(std::size_t b, double factor);
   // Multiplies every length of a body by `factor`, or of all bodies; density is kept.
   void scale(std::size_t b, double factor);
@@ -134,8 +130,9 @@ class Particles {
   const LoadRecord* loads() const { return loads_.data(); }
   LoadRecord* loads() { return loads_.data(); }
   // Of clumps only.
-  SphereRecord* offsets() { return offsets_.data(); }
   AttitudeRecord* attitudes() { return attitudes_.data(); }
+  const ShapeTable& shapes() const { return shapes_; }
+  const std::int32_t* shape_numbers() const { return shape_number_.data(); }
   // What contacts read of the clumps' motion, one a body and one behind. integrate() leaves those of the positions at t_n and
   // velocities at t_{n-1/2}; whoever asks for bodies or motion in order to change them takes them away, and the next contacts
   // make them anew.
@@ -148,19 +145,19 @@ class Particles {
   const std::int32_t* pebble_bodies() const { return pebble_body_.data(); }
 
  private:
-  void become_clumps();
   void forget_twists() { has_twists_ = false; }
 
   // One entry a body, and one behind the last.
   LargeArray<SphereRecord> bodies_;
   LargeArray<MotionRecord> motion_;
   LargeArray<LoadRecord> loads_;
-  // Only where there are clumps: attitude and moments, first pebble.
+  // Only where there are clumps.
   LargeArray<AttitudeRecord> attitudes_;    // one entry a body
+  std::vector<std::int32_t> shape_number_;  // one entry a body
   std::vector<std::int32_t> pebble_begin_;  // one more than bodies, and one behind
+  ShapeTable shapes_;
   // Only where there are clumps, one entry a pebble and one behind the last.
   LargeArray<SphereRecord> pebbles_;
-  LargeArray<SphereRecord> offsets_;  // from the centre of mass, body frame, and the pebble's radius
   std::vector<std::int32_t> pebble_body_;
   LargeArray<TwistRecord> twists_;
   bool has_twists_ = false;

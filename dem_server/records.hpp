@@ -33,9 +33,16 @@ struct alignas(64) TwistRecord {
   double radius;      // R_eq [m]
 };
 
-struct alignas(64) AttitudeRecord {
-  double qx, qy, qz, qw;        // body frame -> world, t_n
-  double i1, i2, i3, is_clump;  // principal moments [kg m2]; 1 for a clump, 0 for a sphere among clumps
+struct alignas(32) AttitudeRecord {
+  double qx, qy, qz, qw;  // body frame -> world, t_n
+};
+
+// What bodies of one shape have in common; shapes.hpp makes them.
+struct alignas(64) ShapeRecord {
+  double i1, i2, i3, is_clump;       // principal moments [m R_eq^2]; 1 for a clump, 0 for a sphere among clumps
+  double over_i1, over_i2, over_i3;  // their inverses
+  double farthest_square;            // of the pebbles' centres from the centre of mass [R_eq^2]
+  std::int32_t first_pebble = 0, pebbles = 0;  // among those of all shapes
 };
 
 // How much of what a step adds up to is wanted.

@@ -13,7 +13,6 @@ constexpr int touches_ahead = 16;       // whose bodies are fetched
 constexpr double smallest_turn = 1e-9;  // as in contact_law.hpp
 constexpr WallSpring no_spring{};
 
-LOCKSTEP_INLINE Lanes3 xyz(const Lanes4& v) { return {v.x, v.y, v.z}; }
 LOCKSTEP_INLINE Lanes3 vector(const double* v) { return {lanes(v[0]), lanes(v[1]), lanes(v[2])}; }
 LOCKSTEP_INLINE Lanes3 operator-(const Lanes3& a) { return {-a.x, -a.y, -a.z}; }
 LOCKSTEP_INLINE Lanes3 over(const Lanes3& a, Lanes s) { return {a.x / s, a.y / s, a.z / s}; }

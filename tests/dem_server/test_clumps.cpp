@@ -2,6 +2,7 @@
 
 #include "common/checks.hpp"
 #include "dem_server/clumps.hpp"
+#include "dem_server/particles.hpp"
 
 using namespace lockstep;
 using namespace lockstep::dem;

@@ -61,7 +61,7 @@ std::uint64_t hash_of(const Particles& p) {
 }
 
 Vec3 sphere_moments(const Particles& p, std::size_t b) {
-  return Vec3::Constant(0.4 * p.mass(b) * p.equivalent_radius(b) * p.equivalent_radius(b));
+  return Vec3::Constant(p.mass(b) * (p.equivalent_radius(b) * p.equivalent_radius(b)) * 0.4);
 }
 
 // Body a of p is body b of q moved by `shift`, to the bit, with its pebbles; loads apart.
@@ -130,8 +130,9 @@ TEST_CASE("a crowd of spheres keeps nothing but its bodies, which are its pebble
   CHECK(!p.has_clumps());
   CHECK(p.pebble_count() == 5);
   CHECK(p.pebbles() == p.bodies());
-  CHECK(p.offsets() == nullptr);
   CHECK(p.attitudes() == nullptr);
+  CHECK(p.shape_numbers() == nullptr);
+  CHECK(p.shape(3).is_sphere());
   CHECK(pebble_begins(p) == Indices{0, 1, 2, 3, 4, 5});
   CHECK(pebble_bodies(p) == Indices{0, 1, 2, 3, 4});
   for (std::size_t b = 0; b < 5; ++b) {
@@ -192,13 +193,14 @@ TEST_CASE("the first clump brings pebbles and attitudes to the spheres before it
   for (std::size_t b = 0; b < 5; ++b) check_same_body(grown, b, before, b);
   grown.scale_all(1.1);
   for (std::size_t b = 0; b < 5; ++b) CHECK(grown.pebble_radius(b) == grown.equivalent_radius(b));
-  // A sphere that comes later is one as well; records tell it from the clump.
+  // A sphere that comes later is one as well; shapes tell it from the clump.
   const std::int32_t last = p.add(make_clump(1, 1), 0.02, 2000, Vec3(1, 0, 0), Quat(0.5, 0.5, 0.5, 0.5));
   CHECK((p.inertia(last) - sphere_moments(p, last)).norm() <= 1e-15 * p.inertia(last).norm());
   CHECK(p.pebble_center(8) == p.position(last));
   std::vector<double> kinds;
-  for (std::size_t b = 0; b < p.body_count(); ++b) kinds.push_back(p.attitudes()[b].is_clump);
+  for (std::size_t b = 0; b < p.body_count(); ++b) kinds.push_back(p.shapes().records()[p.shape_numbers()[b]].is_clump);
   CHECK(kinds == std::vector<double>{0, 0, 0, 0, 0, 1, 0});
+  CHECK(p.shapes().size() == 2);
   check_end(p);
 }
 
@@ -208,24 +210,25 @@ TEST_CASE("records stand in cache lines of their own") {
     p.add(make_clump(pebbles, 1.5), 0.03, 2650, Vec3::Zero(), Quat::Identity());
     CHECK(is_aligned(p.bodies(), 32));
     CHECK(is_aligned(p.pebbles(), 32));
-    CHECK(is_aligned(p.offsets(), 32));
+    CHECK(is_aligned(p.attitudes(), 32));
+    CHECK(is_aligned(p.shapes().records(), 64));
+    CHECK(is_aligned(p.shapes().pebbles(), 32));
     CHECK(is_aligned(p.motion(), 64));
     CHECK(is_aligned(p.loads(), 64));
-    CHECK(is_aligned(p.attitudes(), 64));
   }
   CHECK(sizeof(SphereRecord) == 32);
   CHECK(sizeof(MotionRecord) == 64);
   CHECK(sizeof(LoadRecord) == 64);
-  CHECK(sizeof(AttitudeRecord) == 64);
+  CHECK(sizeof(AttitudeRecord) == 32);
 }
 
 TEST_CASE("spheres pay for no attitudes and no pebbles") {
-  // Bytes a sphere: 32 of place, 64 of motion, 64 of loads. A clump of n: 64 of attitude and 4 of its first pebble
-  // more, and 32 + 32 + 4 a pebble. Room that is taken ahead at most doubles them; two records behind the last are in
+  // Bytes a sphere: 32 of place, 64 of motion, 64 of loads. A clump of n: 32 of attitude, 4 of its first pebble and 4 of
+  // its shape's number more, and 32 + 4 a pebble. Room that is taken ahead at most doubles them; two records behind the last are in
   // the slack.
   const int count = 1000;
   for (const int pebbles : {1, 3, 9}) {
-    const double each = pebbles == 1 ? 160.0 : 160.0 + 68 + 68 * pebbles;
+    const double each = pebbles == 1 ? 160.0 : 160.0 + 40 + 36 * pebbles;
     const Particles p = crowd(std::vector<int>(count, pebbles));
     const double share = static_cast<double>(p.memory()) / (each * count);
     CAPTURE(pebbles, p.memory(), share);
@@ -257,12 +260,12 @@ TEST_CASE("a copy is the body itself, moved and without loads, among spheres and
       check_end(to);
       if (!to.has_clumps()) continue;
       for (std::size_t b = 0; b < from.body_count(); ++b)
-        CHECK(to.attitudes()[before.body_count() + b].is_clump == (from_shapes[b] == 1 ? 0.0 : 1.0));
+        CHECK(to.shape(before.body_count() + b).is_sphere() == (from_shapes[b] == 1));
     }
 }
 
 TEST_CASE("copies are bodies of their own: placing their pebbles leaves them where they are") {
-  // Copied centres are shifted, placed ones are made from pose and offsets: equal to round-off of the coordinates.
+  // Copied centres are shifted, placed ones are made from pose and shape: equal to round-off of the coordinates.
   Particles to;
   const Particles from = crowd(mixed);
   for (std::size_t b = 0; b < from.body_count(); ++b) to.append_copy(from, b, Vec3(1, 1, 1));
@@ -446,7 +449,7 @@ TEST_CASE("the hash sees one bit of one number of each kind") {
     if (!before.has_clumps()) continue;
     CHECK(changed([&](Particles& p) { next(p.attitudes()[3].qw); }));
     CHECK(changed([&](Particles& p) { next(p.attitudes()[3].qz); }));
-    CHECK(changed([&](Particles& p) { next(p.attitudes()[3].i2); }));
+    CHECK(changed([&](Particles& p) { p = crowd({1, 3, 1, 4, 1, 2}); }));  // one body of another shape
     CHECK(changed([&](Particles& p) { next(p.pebbles()[p.pebble_begin(3) + 1].radius); }));
     CHECK(changed([&](Particles& p) { next(p.pebbles()[p.pebble_begin(3) + 1].z); }));
   }
