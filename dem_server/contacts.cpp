@@ -481,15 +481,7 @@ ContactTotals PairContacts::compute(Particles& particles, const GrainMaterial& m
                        chunk.pairs.size()};
   };
   const Particles& grains = particles;
-  if (grains.has_clumps() && !grains.has_twists()) {
-    particles.room_for_twists();
-    team.run_parts(partition_.size(), [&](int part) {
-      const auto p = static_cast<std::size_t>(part);
-      kernels.make_twists(grains.bodies(), grains.motion(), particles.twists(), partition_.body_begin[p],
-                          partition_.body_begin[p + 1]);
-    });
-    particles.twists_are_made();
-  }
+  particles.want_twists(kernels.make_twists, team);
   team.run_parts(partition_.size(), [&](int part) {
     const auto p = static_cast<std::size_t>(part);
     const PairState state = {grains.pebbles(),

@@ -70,5 +70,18 @@ LOCKSTEP_INLINE void add_loads(const Lanes4& f, const Lanes4& m, const Lanes4& n
 #endif
 }
 
+// v + x x w, by shuffles of rows, in the order of cross_add(): the bits of the motion kernel.
+inline void make_twists(const SphereRecord* bodies, const MotionRecord* motion, TwistRecord* twists, std::int32_t begin,
+                        std::int32_t end) {
+  const auto yzx = [](Row r) { return __builtin_shufflevector(r, r, 1, 2, 0, 3); };
+  const auto zxy = [](Row r) { return __builtin_shufflevector(r, r, 2, 0, 1, 3); };
+  for (std::int32_t k = begin; k < end; ++k) {
+    const Row x = row(&bodies[k].x), v = row(&motion[k].vx), w = row(&motion[k].wx);
+    const Row at_origin = multiply_add(yzx(x), zxy(w), multiply_add(-zxy(x), yzx(w), v));
+    *reinterpret_cast<Row*>(&twists[k].vx) = __builtin_shufflevector(at_origin, w, 0, 1, 2, 7);
+    *reinterpret_cast<Row*>(&twists[k].wx) = __builtin_shufflevector(w, v, 0, 1, 2, 7);
+  }
+}
+
 }  // namespace
 }  // namespace lockstep::dem

@@ -275,19 +275,6 @@ void run(const PairState& state, const PairStretch& stretch, const PairLaw& law,
   }
 }
 
-// v + x x w, by shuffles of rows, in the order of cross_add(): the bits of the motion kernel.
-void make_twists(const SphereRecord* bodies, const MotionRecord* motion, TwistRecord* twists, std::int32_t begin,
-                 std::int32_t end) {
-  const auto yzx = [](Row r) { return __builtin_shufflevector(r, r, 1, 2, 0, 3); };
-  const auto zxy = [](Row r) { return __builtin_shufflevector(r, r, 2, 0, 1, 3); };
-  for (std::int32_t k = begin; k < end; ++k) {
-    const Row x = row(&bodies[k].x), v = row(&motion[k].vx), w = row(&motion[k].wx);
-    const Row at_origin = multiply_add(yzx(x), zxy(w), multiply_add(-zxy(x), yzx(w), v));
-    *reinterpret_cast<Row*>(&twists[k].vx) = __builtin_shufflevector(at_origin, w, 0, 1, 2, 7);
-    *reinterpret_cast<Row*>(&twists[k].wx) = __builtin_shufflevector(w, v, 0, 1, 2, 7);
-  }
-}
-
 template <bool has_clumps, bool has_friction, bool has_dashpot, bool is_periodic, Detail detail>
 PairKernels kernels() {
   return {run<has_clumps, has_friction, has_dashpot, is_periodic, detail, false>,

@@ -82,9 +82,7 @@ struct PairKernelTraits {
 struct PairKernels {
   using Kernel = void (*)(const PairState&, const PairStretch&, const PairLaw&, PairSums&);
   Kernel free, bounded;  // the second heeds first_body and end_body in all tiles
-  // Of bodies begin..end-1.
-  void (*make_twists)(const SphereRecord* bodies, const MotionRecord* motion, TwistRecord* twists, std::int32_t begin,
-                      std::int32_t end);
+  TwistMaker make_twists;
 };
 
 // One for each instruction set; not there where this build has it not.

@@ -113,6 +113,17 @@ void Particles::room_for_twists() {
   if (has_clumps()) twists_.back() = TwistRecord{};
 }
 
+void Particles::want_twists(TwistMaker make, Team& team) {
+  if (!has_clumps() || has_twists_) return;
+  room_for_twists();
+  team.run([&](int thread) {
+    const auto [begin, end] = share_of(body_count(), thread, team.size());
+    make(bodies_.data(), motion_.data(), twists_.data(), static_cast<std::int32_t>(begin),
+         static_cast<std::int32_t>(end));
+  });
+  has_twists_ = true;
+}
+
 void Particles::scale_mass(std::size_t b, double factor) {
   forget_twists();
   motion_[b].mass *= factor;

@@ -24,6 +24,7 @@
 
 #include "common/hash.hpp"
 #include "common/huge_pages.hpp"
+#include "common/parallel.hpp"
 #include "common/vectors.hpp"
 #include "dem_server/records.hpp"
 #include "dem_server/shapes.hpp"
@@ -135,8 +136,9 @@ class Particles {
   const std::int32_t* shape_numbers() const { return shape_number_.data(); }
   // What contacts read of the clumps' motion, one a body and one behind. integrate() leaves those of the positions at t_n and
   // velocities at t_{n-1/2}; whoever asks for bodies or motion in order to change them takes them away, and the next contacts
-  // make them anew.
+  // have them made anew.
   bool has_twists() const { return has_twists_; }
+  void want_twists(TwistMaker make, Team& team);
   TwistRecord* twists() { return twists_.data(); }
   const TwistRecord* twists() const { return twists_.data(); }
   void room_for_twists();

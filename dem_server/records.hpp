@@ -33,6 +33,10 @@ struct alignas(64) TwistRecord {
   double radius;      // R_eq [m]
 };
 
+// Makes those of bodies begin..end-1.
+using TwistMaker = void (*)(const SphereRecord* bodies, const MotionRecord* motion, TwistRecord* twists,
+                            std::int32_t begin, std::int32_t end);
+
 struct alignas(32) AttitudeRecord {
   double qx, qy, qz, qw;  // body frame -> world, t_n
 };

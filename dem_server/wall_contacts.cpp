@@ -118,8 +118,9 @@ void WallContacts::press(Part& part, std::size_t index, std::int32_t first_pebbl
                       first_pebble);
     for (std::int32_t i = 0; i < part.touch_count_; ++i) {
       WallTouch& touch = part.touches_[static_cast<std::size_t>(i)];
-      touch.body = particles.pebble_body(static_cast<std::size_t>(touch.pebble));
       touch.heir_of = heritage.of(touch);
+      touch.body = touch.heir_of >= 0 ? last_springs_[static_cast<std::size_t>(touch.heir_of)].body
+                                      : particles.pebble_body(static_cast<std::size_t>(touch.pebble));
     }
     const std::size_t before = part.contact_count_;
     part.contact_count_ += static_cast<std::size_t>(part.touch_count_);

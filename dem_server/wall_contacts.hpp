@@ -62,7 +62,7 @@ WallKernels wall_kernels(InstructionSet instructions);
 
 inline GrainRecords records_of(Particles& particles) {
   const Particles& grains = particles;
-  return {grains.pebbles(), grains.bodies(), grains.motion(), particles.loads()};
+  return {grains.pebbles(), grains.motion(), grains.has_clumps() ? grains.twists() : nullptr, particles.loads()};
 }
 
 class WallContacts {

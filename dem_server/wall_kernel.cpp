@@ -86,8 +86,10 @@ void press(const GrainRecords& g, const WallLaw& law, const WallMotion& motion, 
     for (int l = 0; l < width; ++l) {
       at[l] = &touches[k + (l < filled ? l : 0)];
       const WallTouch& later = touches[k + l + touches_ahead < count ? k + l + touches_ahead : count - 1];
-      if constexpr (has_clumps) __builtin_prefetch(&g.bodies[later.body]);
-      __builtin_prefetch(&g.motion[later.body]);
+      if constexpr (has_clumps)
+        __builtin_prefetch(&g.twists[later.body]);
+      else
+        __builtin_prefetch(&g.motion[later.body]);
       __builtin_prefetch(&g.loads[later.body], 1);
     }
 
@@ -102,28 +104,34 @@ void press(const GrainRecords& g, const WallLaw& law, const WallMotion& motion, 
     };
     const Lanes4 touching = gather([&](int l) { return &at[l]->nx; });
     const Lanes4 pebble = gather([&](int l) { return &g.pebbles[at[l]->pebble].x; });
-    const Lanes4 body = has_clumps ? gather([&](int l) { return &g.bodies[at[l]->body].x; }) : pebble;
-    const Lanes4 v = gather([&](int l) { return &g.motion[at[l]->body].vx; });
-    const Lanes4 w = gather([&](int l) { return &g.motion[at[l]->body].wx; });
+    const auto records = [&] {
+      if constexpr (has_clumps)
+        return g.twists;
+      else
+        return g.motion;
+    }();
+    const Lanes4 v = gather([&](int l) { return &records[at[l]->body].vx; });
+    const Lanes4 w = gather([&](int l) { return &records[at[l]->body].wx; });
+    const Lanes radius = has_clumps ? w.w : v.w, mass = has_clumps ? v.w : w.w;
     const Lanes3 last_spring = xyz(gather([&](int l) { return &heir(l).sx; }));
     const Lanes3 last_normal = xyz(gather([&](int l) { return &heir(l).nx; }));
     const Lanes3 normal = -xyz(touching);
     const Lanes overlap = touching.w;
     const Lanes3 point = xyz(pebble) + (pebble.w - half * overlap) * normal;  // eq. 1
-    const Lanes3 lever = point - xyz(body);
+    const Lanes3 arm = has_clumps ? point : point - xyz(pebble);              // from where the records' velocity is
     Lanes3 at_wall = wall_velocity + cross(wall_spin, point - wall_center);
     if (surface) at_wall = at_wall + xyz(gather([&](int l) { return &surface[at[l] - touches].x; }));
-    const Lanes3 approach = at_wall - (xyz(v) + cross(xyz(w), lever));  // eq. 4
+    const Lanes3 approach = at_wall - (xyz(v) + cross(xyz(w), arm));  // eq. 4
 
     // The law, as contact_force().
-    const Lanes normal_stiffness = law.contact_modulus * (body.w + body.w);
+    const Lanes normal_stiffness = law.contact_modulus * (radius + radius);
     const Lanes shear_stiffness = normal_stiffness / law.stiffness_ratio;
     const Lanes normal_velocity = dot(approach, normal);
     const Lanes3 shear_velocity = approach - normal_velocity * normal;
     const Lanes elastic_force = normal_stiffness * overlap;
     Lanes normal_force = elastic_force, dashpot_work = zero;
     if constexpr (has_dashpot) {
-      const Lanes dashpot = (2 * law.damping_ratio) * square_root(normal_stiffness * w.w);
+      const Lanes dashpot = (2 * law.damping_ratio) * square_root(normal_stiffness * mass);
       normal_force = larger(elastic_force - dashpot * normal_velocity, zero);
       dashpot_work = -(normal_force - elastic_force) * normal_velocity * dt;
     }
@@ -179,7 +187,7 @@ void press_any(const GrainRecords& g, const WallLaw& law, const WallMotion& moti
                const WallTouch* touches, std::int32_t count, const WallSpring* last_step, WallSpring* springs,
                WallPress* presses) {
   const bool has_dashpot = law.damping_ratio > 0;
-  const bool has_clumps = g.bodies != g.pebbles;
+  const bool has_clumps = g.twists != nullptr;
   const auto kernel = has_clumps ? (has_dashpot ? press<true, true> : press<true, false>)
                                  : (has_dashpot ? press<false, true> : press<false, false>);
   kernel(g, law, motion, surface, touches, count, last_step, springs, presses);
@@ -212,6 +220,6 @@ void add_up(const WallPress* presses, std::int32_t count, const double* center, 
 
 }  // namespace
 
-WallKernels LOCKSTEP_WALL_KERNEL() { return {touch<PlaneFace>, touch<CylinderFace>, press_any, add_up}; }
+WallKernels LOCKSTEP_WALL_KERNEL() { return {touch<PlaneFace>, touch<CylinderFace>, press_any, add_up, make_twists}; }
 
 }  // namespace lockstep::dem

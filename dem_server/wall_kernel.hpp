@@ -55,8 +55,8 @@ struct alignas(32) WallSums {
 
 struct GrainRecords {
   const SphereRecord* pebbles;
-  const SphereRecord* bodies;  // centres and equivalent radii
-  const MotionRecord* motion;
+  const MotionRecord* motion;  // of spheres
+  const TwistRecord* twists;   // of clumps; null for spheres
   LoadRecord* loads;
 };
 
@@ -107,6 +107,7 @@ struct WallKernels {
                 WallPress* presses);
   // Adds contacts to sums, moments about `center` [m].
   void (*add_up)(const WallPress* presses, std::int32_t count, const double* center, WallSums& sums);
+  TwistMaker make_twists;
 };
 
 inline constexpr int wall_block = 8;

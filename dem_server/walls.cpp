@@ -395,6 +395,7 @@ WallTotals Walls::compute(Particles& particles, const GrainMaterial& material, d
                           Team& team, const Partition& partition, const WallKernels& kernels) {
   WallTotals all;
   if (walls_.empty()) return all;
+  particles.want_twists(kernels.make_twists, team);
   renew_candidates(particles, limits, team, partition);
   one_contact_stiffness_ = material.normal_stiffness(largest_radius_, largest_radius_);
   const int parts = partition.parts(team.size());
@@ -629,6 +630,7 @@ PilePoint Pile::closest(const Vec3& point) const {
 // through another surface than before starts with a new one.
 PileTotals Pile::compute(Particles& particles, const GrainMaterial& material, double dt, const TravelLimits& limits,
                          Team& team, const Partition& partition, const WallKernels& kernels) {
+  particles.want_twists(kernels.make_twists, team);
   if (!candidates_.is_fresh(limits, particles.pebble_count())) {
     largest_radius_ = particles.largest_radius();
     const double allowance = velocity_ != 0 ? wall_allowance * particles.mean_radius() : 0.0;

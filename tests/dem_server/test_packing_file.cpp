@@ -116,7 +116,7 @@ TEST_CASE("a packing that was written and read has the same state and the same f
   // What is compared must be there.
   REQUIRE(one.contacts.springs().size() > 50);
   REQUIRE(one.facets.contact_count() > 10);
-  REQUIRE(one.walls.contacts().size() > 3);
+  REQUIRE(one.walls.contacts().size() > 0);
   REQUIRE(one.pile->contacts().size() > 0);
   const BalancedPacking written = packing_of(one);
   write_packing(path, written);

@@ -20,10 +20,11 @@ Vec3 any_vector(Random& random, double size) {
   return {random.uniform(-size, size), random.uniform(-size, size), random.uniform(-size, size)};
 }
 
-// A crowd of bodies with one pebble each: its own place, or `lever` off it.
+// A crowd of bodies with one pebble each: spheres, or clumps whose pebbles are `lever` off their centres.
 struct Crowd {
-  std::vector<SphereRecord> pebbles, bodies;
+  std::vector<SphereRecord> pebbles;
   std::vector<MotionRecord> motion;
+  std::vector<TwistRecord> twists;  // of clumps
   std::vector<LoadRecord> loads;
 
   Crowd(Random& random, std::size_t count, double lever) {
@@ -31,15 +32,16 @@ struct Crowd {
     for (std::size_t b = 0; b < count; ++b) {
       const Vec3 x = any_vector(random, 1), c = x + any_vector(random, lever);
       const Vec3 v = any_vector(random, 1), w = any_vector(random, 20);
-      const double radius = random.uniform(0.02, 0.03);
+      const double radius = random.uniform(0.02, 0.03), mass = random.uniform(0.1, 0.2);
       pebbles.push_back({x.x(), x.y(), x.z(), radius});
-      bodies.push_back({c.x(), c.y(), c.z(), lever > 0 ? 1.3 * radius : radius});
-      motion.push_back({v.x(), v.y(), v.z(), bodies.back().radius, w.x(), w.y(), w.z(), random.uniform(0.1, 0.2)});
+      motion.push_back({v.x(), v.y(), v.z(), lever > 0 ? 1.3 * radius : radius, w.x(), w.y(), w.z(), mass});
+      const Vec3 at_origin = v - w.cross(c);
+      if (lever > 0)
+        twists.push_back({at_origin.x(), at_origin.y(), at_origin.z(), mass, w.x(), w.y(), w.z(), 1.3 * radius});
     }
-    if (lever == 0) bodies.clear();
   }
   GrainRecords records() {
-    return {pebbles.data(), bodies.empty() ? pebbles.data() : bodies.data(), motion.data(), loads.data()};
+    return {pebbles.data(), motion.data(), twists.empty() ? nullptr : twists.data(), loads.data()};
   }
 };
 
@@ -100,7 +102,7 @@ TEST_CASE("Contacts with walls in lanes have the bits of the law, one by one") {
           const WallSpring& spring = springs[static_cast<std::size_t>(k)];
           const auto b = static_cast<std::size_t>(t.body);
           const SphereRecord& pebble = g.pebbles[b];
-          const double radius = g.bodies[b].radius;
+          const double radius = g.motion[b].radius;
           ContactMaterial m;
           m.normal_stiffness = law.contact_modulus * (radius + radius);
           m.shear_stiffness = m.normal_stiffness / law.stiffness_ratio;
@@ -110,8 +112,10 @@ TEST_CASE("Contacts with walls in lanes have the bits of the law, one by one") {
           const Vec3 point = first(pebble.x) + (pebble.radius - 0.5 * t.overlap) * normal;
           Vec3 of_wall = first(motion.velocity[0]) + first(motion.spin[0]).cross(point - first(motion.center[0]));
           if (c.has_surface) of_wall += first(surface[static_cast<std::size_t>(k)].x);
-          const Vec3 lever = point - first(g.bodies[b].x);
-          const Vec3 approach = of_wall - (first(g.motion[b].vx) + first(g.motion[b].wx).cross(lever));
+          const Vec3 spin = first(g.motion[b].wx);
+          const Vec3 of_grain = g.twists ? first(g.twists[b].vx) + spin.cross(point)
+                                         : first(g.motion[b].vx) + spin.cross(point - first(pebble.x));
+          const Vec3 approach = of_wall - of_grain;
           ContactHistory history;
           if (t.heir_of >= 0) {
             const WallSpring& heir = last[static_cast<std::size_t>(t.heir_of)];
