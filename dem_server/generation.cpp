@@ -379,7 +379,10 @@ void for_each_tiled(const Cube& cube, const Vec3& low, const Vec3& high, const V
 }
 
 Particles tile(const Cube& cube, const Vec3& low, const Vec3& high, const Vec3& lead) {
+  std::size_t bodies = 0;
+  for_each_tiled(cube, low, high, lead, [&](std::size_t, const Vec3&) { ++bodies; });
   Particles filled;
+  filled.reserve_copies(cube.particles, bodies);
   for_each_tiled(cube, low, high, lead,
                  [&](std::size_t b, const Vec3& shift) { filled.append_copy(cube.particles, b, shift); });
   return filled;

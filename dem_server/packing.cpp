@@ -83,6 +83,7 @@ std::size_t count_kept(const Cube& cube, const Vec3& lead, const Space& space) {
 
 Particles cut(const Cube& cube, const Vec3& lead, const Space& space) {
   Particles kept;
+  kept.reserve_copies(cube.particles, count_kept(cube, lead, space));
   for_each_kept(cube, lead, space,
                 [&](std::size_t b, const Vec3& shift) { kept.append_copy(cube.particles, b, shift); });
   return kept;

@@ -301,6 +301,9 @@ void get_particles(Reader& reader, Particles& particles) {
   for (ClumpTemplate& shape : shapes) shape_section(io, shape);
   if (has_clumps) particles.become_clumps();
   const std::size_t bodies = reader.count((sphere_numbers + motion_numbers) * word);
+  std::size_t most = 0;  // pebbles of a body
+  for (const ClumpTemplate& shape : shapes) most = std::max(most, shape.pebble_center.size());
+  particles.reserve(bodies, has_clumps ? bodies * most : 0);
   for (std::size_t b = 0; b < bodies; ++b) {
     const auto place = get_record<SphereRecord>(reader);
     const auto motion = get_record<MotionRecord>(reader);

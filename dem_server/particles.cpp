@@ -50,6 +50,17 @@ Vec3 Particles::pebble_offset(std::size_t p) const {
   return equivalent_radius(b) * shape(b).pebble_center[p - static_cast<std::size_t>(pebble_begin_[b])];
 }
 
+void Particles::reserve(std::size_t bodies, std::size_t pebbles) {
+  bodies_.reserve(bodies + 1), motion_.reserve(bodies + 1), loads_.reserve(bodies + 1);
+  if (pebbles == 0) return;
+  attitudes_.reserve(bodies), shape_number_.reserve(bodies), pebble_begin_.reserve(bodies + 2);
+  pebbles_.reserve(pebbles + 1), pebble_body_.reserve(pebbles + 1);
+}
+
+void Particles::reserve_copies(const Particles& from, std::size_t bodies) {
+  reserve(bodies, from.has_clumps() ? bodies * from.pebble_count() / std::max<std::size_t>(from.body_count(), 1) : 0);
+}
+
 void Particles::become_clumps() {
   if (has_clumps()) return;
   const std::size_t count = body_count();
@@ -187,6 +198,9 @@ void Particles::reorder(const std::vector<std::int32_t>& order) {
   }
   next.bodies_[count] = nowhere, next.motion_[count] = nothing, next.loads_[count] = LoadRecord{};
   if (has_clumps()) {
+    std::size_t pebbles = 0;
+    for (const std::int32_t b : order) pebbles += static_cast<std::size_t>(pebble_end(b) - pebble_begin(b));
+    next.reserve(count, pebbles);
     for (std::size_t to = 0; to < count; ++to) {
       const std::int32_t from = order[to];
       next.attitudes_.push_back(attitudes_[from]);

@@ -77,6 +77,9 @@ class Particles {
   double pebble_radius(std::size_t p) const { return pebbles()[p].radius; }  // [m]
   Vec3 pebble_offset(std::size_t p) const;                                   // from the centre of mass, body frame [m]
 
+  // Room for so many, `pebbles` of clumps: arrays that grow by themselves leave twice as much memory behind.
+  void reserve(std::size_t bodies, std::size_t pebbles = 0);
+  void reserve_copies(const Particles& from, std::size_t bodies);
   // What the first clump does as well: from now on bodies have attitudes, shapes and pebbles of their own.
   void become_clumps();
   // Adds a body at rest and returns its index.

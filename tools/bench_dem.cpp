@@ -331,6 +331,8 @@ Packing packing_of(const Case& c, const fs::path& folder) {
 Particles particles_of(const Case& c, const Packing& packing) {
   const ClumpTemplate shape = make_clump(c.pebbles, elongation);
   Particles particles;
+  const std::size_t bodies = packing.grains.size(), pebbles = shape.pebble_center.size();
+  particles.reserve(bodies, pebbles > 1 ? bodies * pebbles : 0);
   for (const Grain& g : packing.grains) particles.add(shape, g.radius, density, g.center, g.attitude);
   particles.place_pebbles();
   return particles;
