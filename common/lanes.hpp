@@ -149,17 +149,21 @@ LOCKSTEP_INLINE Lanes4 transpose(const Row* r) {
   return {_mm512_shuffle_f64x2(xz_low, xz_high, 0x88), _mm512_shuffle_f64x2(yw_low, yw_high, 0x88),
           _mm512_shuffle_f64x2(xz_low, xz_high, 0xdd), _mm512_shuffle_f64x2(yw_low, yw_high, 0xdd)};
 }
-LOCKSTEP_INLINE void transpose(const Lanes4& v, Row* r) {
+// Rows 0 | 2, 1 | 3, 4 | 6, 5 | 7.
+LOCKSTEP_INLINE void rows_in_pairs(const Lanes4& v, Lanes* pairs) {
+  const __m512i low = _mm512_setr_epi64(0, 1, 8, 9, 2, 3, 10, 11), high = _mm512_setr_epi64(4, 5, 12, 13, 6, 7, 14, 15);
   const Lanes xy_even = _mm512_unpacklo_pd(v.x, v.y), xy_odd = _mm512_unpackhi_pd(v.x, v.y);
   const Lanes zw_even = _mm512_unpacklo_pd(v.z, v.w), zw_odd = _mm512_unpackhi_pd(v.z, v.w);
-  const auto low = [](Lanes a) -> Row { return _mm512_castpd512_pd256(a); };
-  const auto high = [](Lanes a) -> Row { return _mm512_extractf64x4_pd(a, 1); };
-  const Row half[8] = {low(xy_even),  low(zw_even),  low(xy_odd),  low(zw_odd),
-                       high(xy_even), high(zw_even), high(xy_odd), high(zw_odd)};
-  r[0] = _mm256_permute2f128_pd(half[0], half[1], 0x20), r[2] = _mm256_permute2f128_pd(half[0], half[1], 0x31);
-  r[1] = _mm256_permute2f128_pd(half[2], half[3], 0x20), r[3] = _mm256_permute2f128_pd(half[2], half[3], 0x31);
-  r[4] = _mm256_permute2f128_pd(half[4], half[5], 0x20), r[6] = _mm256_permute2f128_pd(half[4], half[5], 0x31);
-  r[5] = _mm256_permute2f128_pd(half[6], half[7], 0x20), r[7] = _mm256_permute2f128_pd(half[6], half[7], 0x31);
+  pairs[0] = _mm512_permutex2var_pd(xy_even, low, zw_even), pairs[1] = _mm512_permutex2var_pd(xy_odd, low, zw_odd);
+  pairs[2] = _mm512_permutex2var_pd(xy_even, high, zw_even), pairs[3] = _mm512_permutex2var_pd(xy_odd, high, zw_odd);
+}
+LOCKSTEP_INLINE void transpose(const Lanes4& v, Row* r) {
+  Lanes pairs[4];
+  rows_in_pairs(v, pairs);
+  for (int k = 0; k < 4; ++k) {
+    const int first = k < 2 ? k : k + 2;
+    r[first] = _mm512_castpd512_pd256(pairs[k]), r[first + 2] = _mm512_extractf64x4_pd(pairs[k], 1);
+  }
 }
 #elif defined(__AVX2__)
 LOCKSTEP_INLINE Lanes4 transpose(const Row* r) {

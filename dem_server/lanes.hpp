@@ -10,16 +10,8 @@ namespace {
 #if defined(__AVX512F__)
 // A record is one register.
 LOCKSTEP_INLINE void join_rows(const Lanes4& first, const Lanes4& second, Lanes* r) {
-  const __m512i low = _mm512_setr_epi64(0, 1, 8, 9, 2, 3, 10, 11), high = _mm512_setr_epi64(4, 5, 12, 13, 6, 7, 14, 15);
-  // Rows 0 | 2, 1 | 3, 4 | 6, 5 | 7.
-  const auto in_pairs = [&](const Lanes4& v, Lanes* pairs) {
-    const Lanes xy_even = _mm512_unpacklo_pd(v.x, v.y), xy_odd = _mm512_unpackhi_pd(v.x, v.y);
-    const Lanes zw_even = _mm512_unpacklo_pd(v.z, v.w), zw_odd = _mm512_unpackhi_pd(v.z, v.w);
-    pairs[0] = _mm512_permutex2var_pd(xy_even, low, zw_even), pairs[1] = _mm512_permutex2var_pd(xy_odd, low, zw_odd);
-    pairs[2] = _mm512_permutex2var_pd(xy_even, high, zw_even), pairs[3] = _mm512_permutex2var_pd(xy_odd, high, zw_odd);
-  };
   Lanes a[4], b[4];
-  in_pairs(first, a), in_pairs(second, b);
+  rows_in_pairs(first, a), rows_in_pairs(second, b);
   for (int half = 0; half < 2; ++half)
     for (int p = 0; p < 2; ++p) {
       const int k = 2 * half + p;
