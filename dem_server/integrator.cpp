@@ -55,7 +55,7 @@ MotionTotals integrate(Particles& particles, const Vec3& gravity, double time_st
                            options.fastest_travel / time_step_new};
   std::vector<MotionSums> sums(chunks);
   const auto first_chunk = [&](int part) {
-    if (!options.partition || options.partition->size() <= 0) return share_of(chunks, part, parts).first;
+    if (!options.partition || options.partition->size() == 0) return share_of(chunks, part, parts).first;
     const std::int32_t body = options.partition->body_begin[static_cast<std::size_t>(part)];
     return (static_cast<std::size_t>(body) + chunk_bodies - 1) / chunk_bodies;
   };

@@ -25,7 +25,7 @@ struct TravelLimits {
 // which part decides speed alone.
 struct Partition {
   std::vector<std::int32_t> body_begin;
-  int size() const { return static_cast<int>(body_begin.size()) - 1; }
+  int size() const { return body_begin.empty() ? 0 : static_cast<int>(body_begin.size()) - 1; }
   // Without parts, a thread's equal share is one.
   int parts(int threads) const { return size() > 0 ? size() : threads; }
 };

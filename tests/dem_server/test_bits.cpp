@@ -320,3 +320,18 @@ TEST_CASE("a list renewed or restored at arbitrary steps changes no bit of the s
     CHECK(worst < 1e-13);
   }
 }
+
+TEST_CASE(
+    "a stable step may be asked for before the first lists and after they were forgotten, by any number of threads") {
+  for (const int threads : {1, 2, 3}) {
+    const auto model = squeezed(Crowd::Mixed, threads);
+    CHECK(model->contacts.partition().size() == 0);
+    const double without_lists = stable_step(*model, 0.1).step;
+    CHECK(without_lists > 0);
+    ClosingBox box;
+    for (int n = 0; n < 5; ++n) cycle(*model, box);
+    model->contacts.clear_history();
+    CHECK(model->contacts.partition().size() == 0);
+    CHECK(stable_step(*model, 0.1).step > 0);
+  }
+}
